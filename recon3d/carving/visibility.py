@@ -1,0 +1,117 @@
+"""The ordinal visibility constraint: all cameras on one side of a plane, the volume on the other."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import nnls
+
+from recon3d.errors import VisibilityError
+from recon3d.scene import Scene, bounds_corners
+
+_STEP = 1e-4  # how far, in radians, candidate directions stand off the edges between cells
+
+
+@dataclass(frozen=True)
+class SweepDirection:
+    """Unit direction in which every camera lies before every corner of the volume."""
+
+    direction: NDArray[np.float64]
+    """(3,) world, from the cameras to the volume."""
+    margin: float
+    """Width of the empty slab between the cameras and the volume, world units."""
+
+
+def sweep_direction(centers: NDArray[np.float64], corners: NDArray[np.float64]) -> SweepDirection | None:
+    """Direction d with the widest gap between cameras (n, 3) and volume corners (8, 3), or None where there is none.
+
+    The least distance problem "minimise |x| subject to x . (corner - centre) >= 1" by non-negative least squares;
+    its solution is the widest margin in the Euclidean sense, so it turns with the world.
+
+    References
+    ----------
+    Seitz, Dyer, "Photorealistic scene reconstruction by voxel coloring", 1999, section 3 (the constraint).
+    Lawson, Hanson, "Solving least squares problems", 1974, chapter 23 (least distance programming).
+    """
+    differences = (corners[None] - centers[:, None]).reshape(-1, 3)
+    scale = np.abs(differences).max()
+    system = np.vstack([differences.T / scale, np.ones(len(differences))])
+    target = np.array([0.0, 0.0, 0.0, 1.0])
+    weights, _ = nnls(system, target)
+    residual = system @ weights - target
+    if -residual[3] < 1e-12:
+        return None
+    x = -residual[:3] / residual[3]
+    direction = x / np.linalg.norm(x)
+    margin = float((differences @ direction).min())
+    return SweepDirection(direction, margin) if margin > 1e-9 * scale else None
+
+
+def largest_admissible_views(scene: Scene, limit: int | None = None) -> list[str]:
+    """Names of the largest subset of views that satisfies the ordinal visibility constraint, in scene order.
+
+    Every set of cameras that some direction separates from the volume contains a direction next to the crossing of
+    two limits (planes through the origin normal to corner - centre), so trying those finds the largest. Among equal
+    ones the widest margin wins.
+
+    Parameters
+    ----------
+    limit : keep at most this many, leaving out first the views nearest to another one.
+
+    Raises
+    ------
+    VisibilityError : no view is admissible: every camera is inside or too near the volume.
+    """
+    corners = bounds_corners(scene.bounds)
+    centers = scene.centers
+    candidates = _candidate_directions(centers, corners)
+    nearest = (corners @ candidates.T).min(axis=0)
+    admitted = centers @ candidates.T < nearest
+    counts = admitted.sum(axis=0)
+    best: tuple[float, NDArray[np.bool_]] | None = None
+    for count in range(int(counts.max()), 0, -1):
+        for subset in np.unique(admitted[:, counts == count].T, axis=0):
+            found = sweep_direction(centers[subset], corners)
+            if found and (best is None or found.margin > best[0]):
+                best = found.margin, subset
+        if best:
+            break
+    if best is None:
+        raise VisibilityError(f"scene {scene.name}: no single view satisfies the ordinal visibility constraint")
+    chosen = list(np.flatnonzero(best[1]))
+    while limit is not None and len(chosen) > max(limit, 1):
+        gaps = np.linalg.norm(centers[chosen][:, None] - centers[chosen], axis=2)
+        gaps[np.diag_indices(len(chosen))] = np.inf
+        chosen.pop(int(np.sort(gaps, axis=1)[:, 0].argmin()))
+    return [scene.views[n].name for n in chosen]
+
+
+def require_sweep_direction(scene: Scene) -> SweepDirection:
+    """Sweep direction of a scene, or an error that names the views to leave out."""
+    found = sweep_direction(scene.centers, bounds_corners(scene.bounds))
+    if found is None:
+        kept = largest_admissible_views(scene)
+        offending = [view.name for view in scene.views if view.name not in kept]
+        raise VisibilityError(
+            f"scene {scene.name}: the cameras do not lie on one side of a plane (ordinal visibility constraint). "
+            f"{len(kept)} of {len(scene.views)} views can be used together; leave out {', '.join(offending)}, "
+            "or let largest_admissible_views(scene) choose"
+        )
+    return found
+
+
+def _candidate_directions(centers: NDArray[np.float64], corners: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(n, 3) directions beside the crossings of every two limits, on all sides of each crossing."""
+    limits = (corners[None] - centers[:, None]).reshape(-1, 3)
+    limits /= np.linalg.norm(limits, axis=1, keepdims=True)
+    a, b = np.triu_indices(len(limits), 1)
+    crossings = np.cross(limits[a], limits[b])
+    length = np.linalg.norm(crossings, axis=1)
+    real = length > 1e-9
+    a, b, crossings = a[real], b[real], crossings[real] / length[real, None]
+    sides = [
+        sign * crossings + _STEP * (s * limits[a] + t * limits[b]) for sign in (1, -1) for s in (1, -1) for t in (1, -1)
+    ]
+    return np.vstack([*sides, limits])

@@ -1,0 +1,61 @@
+"""The paper's own test: fuzzy membership against two adaptive thresholds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from recon3d.consistency.base import Patches, Verdict
+from recon3d.kernels.ragged import decile_ratios
+
+_LUMINANCE = np.array([[299, 587, 114]])  # thousandths, ITU-R BT.601
+_CHANNELS = 1000 * np.eye(3, dtype=np.int64)
+
+
+def alternating_harmonic(n: ArrayLike) -> NDArray[np.float64]:
+    """S(n) = 1 - 1/2 + 1/3 - ... +- 1/n (eq. 9), limit log 2; of whole numbers >= 1, any shape."""
+    order = np.asarray(n, np.int64)
+    if order.size and order.min() < 1:
+        raise ValueError(f"expected n >= 1, got {order.min()}")
+    k = np.arange(1, order.max(initial=1) + 1)
+    return np.asarray(np.cumsum(np.where(k % 2, 1.0, -1.0) / k)[order - 1])
+
+
+@dataclass(frozen=True)
+class FuzzyAdaptiveHysteresis:
+    """Fuzzy membership with adaptive hysteresis thresholds.
+
+    mu(v) is the lowest over the highest intensity of the voxel's pixels, all views together, between their first
+    and ninth decile (eq. 7); T_low = S(2N), T_high = S(2N + 1) for N views, S the alternating harmonic series
+    (eq. 9), so that more views are judged more strictly.
+
+    Deciles are nearest ranks, so sets of one or two pixels keep all of them; 0 / 0 is 1, a black patch is
+    homogeneous.
+
+    References
+    ----------
+    W. Barhoumi, M. C. Bakkay, E. Zargouba, "Automated photo-consistency test for voxel colouring based on fuzzy
+    adaptive hysteresis thresholding", IET Image Processing 7(8), 2013, eq. 7-9.
+    """
+
+    intensity: Literal["luminance", "channels"] = "luminance"
+    """8-bit luminance, or the smallest of the three channels' ratios: the paper says "colour" and "intensities"."""
+    trim: float = 0.1
+    """Fraction of the pixels left out at either end as outliers."""
+
+    def __post_init__(self) -> None:
+        if self.intensity not in ("luminance", "channels"):
+            raise ValueError(f"expected intensity 'luminance' or 'channels', got {self.intensity!r}")
+        if not 0 <= self.trim < 0.5:
+            raise ValueError(f"expected 0 <= trim < 0.5, got {self.trim}")
+
+    def __call__(self, patches: Patches) -> Verdict:
+        """Membership mu and the two thresholds of every voxel."""
+        degree = np.ones(patches.n_voxels)
+        for weights in _LUMINANCE if self.intensity == "luminance" else _CHANNELS:
+            decile_ratios(patches.colors, patches.starts, weights, self.trim, degree)
+        n_views = patches.n_views
+        return Verdict(degree, alternating_harmonic(2 * n_views), alternating_harmonic(2 * n_views + 1))

@@ -1,0 +1,25 @@
+"""What can go wrong with files and reconstructions; a bad argument is a plain ``ValueError``."""
+
+
+class Recon3dError(Exception):
+    """Base of all errors that a user can mend by changing data or settings."""
+
+
+class DataError(Recon3dError):
+    """A file or folder does not hold what its format promises."""
+
+
+class SceneError(Recon3dError):
+    """Views, bounds and images do not fit together."""
+
+
+class VisibilityError(Recon3dError):
+    """The cameras break the constraint that a carving method needs."""
+
+
+class VolumeTooLargeError(Recon3dError):
+    """The volume would not fit into memory."""
+
+
+class EmptyReconstructionError(Recon3dError):
+    """Nothing was left after carving."""

@@ -1,0 +1,156 @@
+"""Files written whole or not at all, and Open3D geometry in and out."""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import open3d as o3d
+from numpy.typing import NDArray
+
+from recon3d.errors import DataError
+
+Geometry = o3d.geometry.TriangleMesh | o3d.geometry.PointCloud | o3d.geometry.VoxelGrid
+
+MESH_SUFFIXES = (".ply", ".obj", ".glb", ".stl")
+
+
+@contextmanager
+def atomic_path(path: Path | str) -> Iterator[Path]:
+    """Temporary path beside the target, moved onto it when the block ends well and removed when it does not."""
+    target = Path(path)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.stem}-", suffix=target.suffix)
+    os.close(handle)
+    temporary = Path(name)
+    try:
+        yield temporary
+        temporary.chmod(0o666 & ~_umask())
+        os.replace(temporary, target)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _umask() -> int:
+    """The process's file mode mask, which mkstemp ignores."""
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
+
+
+def write_geometry(path: Path | str, geometry: Geometry) -> Path:
+    """Write a mesh (PLY, OBJ, GLB, STL), a point cloud (PLY) or a voxel grid (PLY); returns the path.
+
+    Raises
+    ------
+    ValueError : the geometry cannot be written in that format.
+    OSError : the file could not be written.
+    """
+    path = Path(path)
+    is_mesh = isinstance(geometry, o3d.geometry.TriangleMesh)
+    allowed = MESH_SUFFIXES if is_mesh else (".ply",)
+    if path.suffix.lower() not in allowed:
+        raise ValueError(f"{path}: a {type(geometry).__name__} is written as {', '.join(allowed)}")
+    if is_mesh:
+        if path.suffix.lower() == ".stl":
+            geometry.compute_triangle_normals()
+        write = o3d.io.write_triangle_mesh
+    elif isinstance(geometry, o3d.geometry.PointCloud):
+        write = o3d.io.write_point_cloud
+    else:
+        write = o3d.io.write_voxel_grid
+    with atomic_path(path) as temporary:
+        if not write(str(temporary), geometry):
+            raise OSError(f"{path}: Open3D could not write the {type(geometry).__name__}")
+    return path
+
+
+def read_geometry(path: Path | str) -> Geometry:
+    """Read a mesh, a point cloud or a voxel grid; a PLY's header says which it is.
+
+    Raises
+    ------
+    DataError : missing, unreadable or empty.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise DataError(f"{path}: no such file")
+    header = _ply_header(path) if path.suffix.lower() == ".ply" else ""
+    geometry: Geometry
+    if "element voxel_grid" in header or "element voxel " in header:
+        geometry = o3d.io.read_voxel_grid(str(path))
+        empty = not geometry.has_voxels()
+    elif "element vertex" in header and "element face" not in header:
+        geometry = o3d.io.read_point_cloud(str(path))
+        empty = not geometry.has_points()
+    else:
+        geometry = o3d.io.read_triangle_mesh(str(path))
+        empty = not geometry.has_triangles()
+    if empty:
+        raise DataError(f"{path}: expected a mesh, point cloud or voxel grid, got nothing that Open3D can read")
+    return geometry
+
+
+def read_mesh(path: Path | str) -> o3d.geometry.TriangleMesh:
+    """Read a triangle mesh.
+
+    Raises
+    ------
+    DataError : missing, unreadable, empty or not a mesh.
+    """
+    geometry = read_geometry(path)
+    if not isinstance(geometry, o3d.geometry.TriangleMesh):
+        raise DataError(f"{path}: expected a triangle mesh, got a {type(geometry).__name__}")
+    return geometry
+
+
+def read_image(path: Path | str) -> NDArray[np.uint8]:
+    """Read an image as (height, width, 3) RGB.
+
+    Raises
+    ------
+    DataError : missing or unreadable.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise DataError(f"{path}: no such image")
+    image = cv2.imread(str(path), cv2.IMREAD_COLOR)
+    if image is None:
+        raise DataError(f"{path}: not a readable image")
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), np.uint8)
+
+
+def write_image(path: Path | str, image: NDArray[np.uint8] | NDArray[np.bool_]) -> Path:
+    """Write an RGB image, or a mask as black and white; returns the path."""
+    pixels = np.asarray(image, np.uint8) * 255 if image.dtype == np.bool_ else image
+    if pixels.ndim == 3:
+        pixels = cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR)
+    with atomic_path(path) as temporary:
+        if not cv2.imwrite(str(temporary), pixels):
+            raise OSError(f"{path}: OpenCV could not write the image")
+    return Path(path)
+
+
+def write_json(path: Path | str, content: Mapping[str, Any]) -> Path:
+    """Write a JSON record; returns the path."""
+    return write_text(path, json.dumps(content, indent=2, allow_nan=False) + "\n")
+
+
+def write_text(path: Path | str, text: str) -> Path:
+    """Write a text file; returns the path."""
+    with atomic_path(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+    return Path(path)
+
+
+def _ply_header(path: Path) -> str:
+    """Text of a PLY file up to the end of its header."""
+    with path.open("rb") as file:
+        return file.read(4096).split(b"end_header")[0].decode("ascii", "replace")

@@ -1,0 +1,113 @@
+"""Silhouettes: which pixels may show the object."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from recon3d.errors import DataError
+from recon3d.scene import Scene, View, bounds_corners
+
+BACKGROUND_LEVEL = 0.19
+"""Fraction of white below which a pixel is dark background (the Middlebury dinoSparseRing recipe)."""
+
+
+def foreground(image: NDArray[np.uint8], level: float = BACKGROUND_LEVEL) -> NDArray[np.bool_]:
+    """Pixels of an RGB image whose brightest channel is above a fraction of white."""
+    return np.asarray(image.max(axis=2) > level * 255)
+
+
+def bounds_mask(scene: Scene, view: View) -> NDArray[np.bool_]:
+    """Pixels (height, width) that the scene's bounds can project to; all where a corner is behind the camera."""
+    pixels, depth = view.project(bounds_corners(scene.bounds))
+    if (depth <= 0).any():
+        return np.ones((view.height, view.width), np.bool_)
+    mask = np.zeros((view.height, view.width), np.uint8)
+    outline = cv2.convexHull(pixels.astype(np.float32)).round().astype(np.int32)
+    cv2.fillConvexPoly(mask, outline, 1)
+    return mask.astype(np.bool_)
+
+
+def with_background_silhouettes(
+    scene: Scene,
+    *,
+    level: float = BACKGROUND_LEVEL,
+    dilate: int = 10,
+    erode: int = 7,
+    only: Collection[str] | None = None,
+) -> Scene:
+    """Scene with silhouettes made from a dark background.
+
+    Threshold, dilate, erode, as the README of Middlebury's dinoSparseRing says; then cut to the projected bounds,
+    since a stand may be brighter than the threshold. Nothing is taken off at the image border: what lies beyond it
+    is unknown, not empty.
+
+    Parameters
+    ----------
+    level : fraction of white in (0, 1).
+    dilate, erode : radii in pixels; their difference is the safety margin.
+    only : names of the views to treat; the others get none. All when None.
+    """
+    if not 0 < level < 1:
+        raise ValueError(f"expected a level between 0 and 1, got {level}")
+    if dilate < 0 or erode < 0:
+        raise ValueError(f"expected radii of 0 pixels or more, got dilate={dilate}, erode={erode}")
+
+    def silhouette(view: View) -> NDArray[np.bool_]:
+        mask = foreground(view.image, level).astype(np.uint8)
+        mask = cv2.dilate(mask, _disc(dilate))
+        # OpenCV's border value for erosion is the largest one, so a silhouette that leaves the image stays attached.
+        mask = cv2.erode(mask, _disc(erode))
+        return np.asarray(mask.astype(np.bool_) & bounds_mask(scene, view))
+
+    return replace(
+        scene,
+        views=tuple(
+            replace(view, silhouette=silhouette(view) if only is None or view.name in only else None)
+            for view in scene.views
+        ),
+    )
+
+
+def with_mask_files(scene: Scene, folder: Path | str) -> Scene:
+    """Scene with silhouettes read from ``folder/<view name>``, white for object, any extension, one for each view.
+
+    Raises
+    ------
+    DataError : a mask is missing, unreadable or of another size than its view's image.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise DataError(f"{folder}: expected a folder of mask images")
+
+    def silhouette(view: View) -> NDArray[np.bool_]:
+        stem = Path(view.name).stem
+        found = sorted(path for path in folder.iterdir() if path.stem == stem)
+        if len(found) != 1:
+            raise DataError(f"{folder}: expected one mask named {stem}.* for view {view.name}, found {len(found)}")
+        mask = cv2.imread(str(found[0]), cv2.IMREAD_GRAYSCALE)
+        if mask is None:
+            raise DataError(f"{found[0]}: not a readable image")
+        if mask.shape != (view.height, view.width):
+            raise DataError(
+                f"{found[0]}: expected {view.width}x{view.height} pixels like view {view.name}, "
+                f"got {mask.shape[1]}x{mask.shape[0]}"
+            )
+        return np.asarray(mask > 127)
+
+    return replace(scene, views=tuple(replace(view, silhouette=silhouette(view)) for view in scene.views))
+
+
+def without_silhouettes(scene: Scene) -> Scene:
+    """Scene in which no silhouette is known."""
+    return replace(scene, views=tuple(replace(view, silhouette=None) for view in scene.views))
+
+
+def _disc(radius: int) -> NDArray[np.uint8]:
+    """Round structuring element."""
+    return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1)), np.uint8)
