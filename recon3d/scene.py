@@ -145,7 +145,9 @@ class View:
         """Which world points (n, 3) lie in front of the camera and inside the image, occluded or not."""
         pixels, depth = self.project(points)
         return np.asarray(
-            (depth > 0) & (pixels >= -0.5).all(axis=1) & (pixels < np.array([self.width, self.height]) - 0.5).all(axis=1)
+            (depth > 0)
+            & (pixels >= -0.5).all(axis=1)
+            & (pixels < np.array([self.width, self.height]) - 0.5).all(axis=1)
         )
 
 

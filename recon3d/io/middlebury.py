@@ -231,5 +231,3 @@ def _check_box(scene: Scene, *, foreground_must_fit: bool) -> None:
         if foreground_must_fit:
             raise SceneError(message)
         warnings.warn(message, stacklevel=3)
-
-

@@ -8,6 +8,9 @@ from typing import Any
 
 import numba
 
+# Open3D loads an older TBB than numba asks for; naming the others first keeps numba from warning about it.
+numba.config.THREADING_LAYER_PRIORITY = ["omp", "workqueue", "tbb"]
+
 
 def kernel(*, parallel: bool = False) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """Compile to machine code that is cached on disk and releases the interpreter lock."""

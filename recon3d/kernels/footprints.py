@@ -108,9 +108,7 @@ def free_pixels(
         y = origin[1] + voxels[n, 1] * size
         z = origin[2] + voxels[n, 2] * size
         for view in range(projections.shape[0]):
-            u0, u1, v0, v1, _ = footprint(
-                projections[view], image_sizes[view, 0], image_sizes[view, 1], x, y, z, size
-            )
+            u0, u1, v0, v1, _ = footprint(projections[view], image_sizes[view, 0], image_sizes[view, 1], x, y, z, size)
             boxes[n, view, 0] = u0
             boxes[n, view, 1] = u1
             boxes[n, view, 2] = v0
