@@ -175,7 +175,7 @@ def distance_to_mesh(points: NDArray[np.float64], mesh: o3d.geometry.TriangleMes
     """(n,) exact distances of points (n, 3) to a mesh's triangles, world units."""
     scene = o3d.t.geometry.RaycastingScene()
     scene.add_triangles(o3d.t.geometry.TriangleMesh.from_legacy(mesh))
-    return scene.compute_distance(points.astype(np.float32)).numpy().astype(np.float64)
+    return np.asarray(scene.compute_distance(o3d.core.Tensor.from_numpy(points.astype(np.float32))).numpy(), np.float64)
 
 
 def sample_surface(
@@ -220,9 +220,9 @@ def _distances(
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Distances of source points to their nearest target points, and which ones those are where asked."""
     if want_index:
-        search = o3d.core.nns.NearestNeighborSearch(o3d.core.Tensor(target))
+        search = o3d.core.nns.NearestNeighborSearch(o3d.core.Tensor.from_numpy(target))
         search.knn_index()
-        index, squared = search.knn_search(o3d.core.Tensor(source), 1)
+        index, squared = search.knn_search(o3d.core.Tensor.from_numpy(source), 1)
         return np.sqrt(squared.numpy().ravel()), index.numpy().ravel()
     clouds = [o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points)) for points in (source, target)]
     return np.asarray(clouds[0].compute_point_cloud_distance(clouds[1])), np.empty(0, np.int64)

@@ -32,7 +32,7 @@ def thumbnails(images: list[NDArray[np.uint8]], *, width: int, columns: int) -> 
     small = []
     for image in images:
         height = max(1, round(image.shape[0] * width / image.shape[1]))
-        small.append(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA))
+        small.append(np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), np.uint8))
     cell = max(image.shape[0] for image in small)
     n_rows = -(-len(small) // columns)
     sheet = np.full((n_rows * cell, min(columns, len(small)) * width, 3), 255, np.uint8)

@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 
 from recon3d.scene import Scene, View
 
-BACKGROUND = np.uint8(255)
-
 
 @dataclass(frozen=True)
 class Rendering:
@@ -31,7 +29,7 @@ class Rendering:
     """(height, width) cosine between normal and line of sight, in [0, 1]."""
 
     def picture(self, mode: str = "colored") -> NDArray[np.uint8]:
-        """RGB picture (height, width, 3) on white: "colored", "shaded" (grey), "normals" or "depth" (near is bright)."""
+        """RGB picture (height, width, 3) on white: "colored", "shaded", "normals" or "depth" (near is bright)."""
         if mode == "colored":
             content = self.colors
         elif mode == "shaded":
@@ -47,6 +45,10 @@ class Rendering:
             raise ValueError(f"expected mode {', '.join(MODES)}, got {mode!r}")
         content = np.where(self.hit[..., None], content, 1.0)
         return np.rint(255 * np.clip(content, 0, 1)).astype(np.uint8)
+
+    def pictures(self) -> dict[str, NDArray[np.uint8]]:
+        """The picture of every mode."""
+        return {mode: self.picture(mode) for mode in MODES}
 
 
 MODES = ("colored", "shaded", "normals", "depth")
@@ -72,7 +74,7 @@ class Renderer:
         """View of a camera with the full K (skew too), pixel centres at integers."""
         origin, directions = pixel_rays(K, cam_from_world, width, height)
         rays = np.concatenate([np.broadcast_to(origin, directions.shape), directions], axis=-1)
-        answer = self._scene.cast_rays(o3d.core.Tensor(rays.astype(np.float32)))
+        answer = self._scene.cast_rays(o3d.core.Tensor.from_numpy(rays.astype(np.float32)))
         depth = answer["t_hit"].numpy().astype(np.float64)
         hit = np.isfinite(depth)
         corners = self._triangles[answer["primitive_ids"].numpy()[hit]]
@@ -113,7 +115,7 @@ def comparison_sheet(scene: Scene, renderer: Renderer, *, views: int = 4, width:
     for n in chosen:
         view = scene.views[n]
         rendering = renderer.render_view(view)
-        pictures = [view.image, *(rendering.picture(mode) for mode in MODES)]
+        pictures = [view.image, *rendering.pictures().values()]
         height = max(1, round(view.height * width / view.width))
         rows.append(np.hstack([cv2.resize(p, (width, height), interpolation=cv2.INTER_AREA) for p in pictures]))
     return np.vstack(rows)

@@ -165,7 +165,7 @@ def make_bounds(low: ArrayLike, high: ArrayLike) -> o3d.geometry.AxisAlignedBoun
     """Axis-aligned box from two opposite corners (3,) in world units."""
     a, b = np.asarray(low, np.float64), np.asarray(high, np.float64)
     if a.shape != (3,) or b.shape != (3,) or not np.isfinite([a, b]).all():
-        raise ValueError(f"expected two corners of three finite numbers, got {low} and {high}")
+        raise ValueError(f"expected two corners of three finite numbers, got {low!r} and {high!r}")
     return o3d.geometry.AxisAlignedBoundingBox(np.minimum(a, b), np.maximum(a, b))
 
 

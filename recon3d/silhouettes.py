@@ -59,11 +59,9 @@ def with_background_silhouettes(
         raise ValueError(f"expected radii of 0 pixels or more, got dilate={dilate}, erode={erode}")
 
     def silhouette(view: View) -> NDArray[np.bool_]:
-        mask = foreground(view.image, level).astype(np.uint8)
-        mask = cv2.dilate(mask, _disc(dilate))
+        grown = cv2.dilate(foreground(view.image, level).astype(np.uint8), _disc(dilate))
         # OpenCV's border value for erosion is the largest one, so a silhouette that leaves the image stays attached.
-        mask = cv2.erode(mask, _disc(erode))
-        return np.asarray(mask.astype(np.bool_) & bounds_mask(scene, view))
+        return np.asarray((cv2.erode(grown, _disc(erode)) > 0) & bounds_mask(scene, view))
 
     return replace(
         scene,
@@ -106,6 +104,16 @@ def with_mask_files(scene: Scene, folder: Path | str) -> Scene:
 def without_silhouettes(scene: Scene) -> Scene:
     """Scene in which no silhouette is known."""
     return replace(scene, views=tuple(replace(view, silhouette=None) for view in scene.views))
+
+
+def overlay(scene: Scene, view: View) -> NDArray[np.uint8]:
+    """RGB photograph with what its silhouette excludes tinted blue and the outline of the bounds in yellow."""
+    picture = view.image.copy()
+    if view.silhouette is not None:
+        picture[~view.silhouette] = picture[~view.silhouette] // 2 + np.array([0, 20, 90], np.uint8)
+    edge = cv2.morphologyEx(bounds_mask(scene, view).astype(np.uint8), cv2.MORPH_GRADIENT, _disc(1)) > 0
+    picture[edge] = (255, 220, 0)
+    return picture
 
 
 def _disc(radius: int) -> NDArray[np.uint8]:

@@ -157,7 +157,7 @@ class CarvingVolume:
     def _seen_along(self, axis: int) -> NDArray[np.uint8]:
         """RGB picture of the first occupied voxels along an axis; uncoloured ones grey by depth."""
         first = self.occupied.argmax(axis=axis)
-        any_occupied = self.occupied.any(axis=axis)
+        any_occupied = np.asarray(self.occupied.any(axis=axis))
         colors = np.take_along_axis(self.colors, np.expand_dims(first, (axis, 3)), axis=axis).squeeze(axis)
         depth = (230 - 150 * first / self.occupied.shape[axis]).astype(np.uint8)
         colors = np.where(colors.any(axis=2, keepdims=True), colors, depth[..., None])

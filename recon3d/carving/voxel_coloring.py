@@ -124,10 +124,7 @@ def near_to_far(
     depth = voxels @ direction
     key = np.floor(depth - depth.min()).astype(np.int32) if layering == "slabs" else depth
     order = np.argsort(key, kind="stable")
-    if layering == "slabs":
-        boundaries = np.flatnonzero(np.diff(key[order])) + 1
-    else:
-        boundaries = np.arange(1, len(order))
+    boundaries = np.flatnonzero(np.diff(key[order])) + 1 if layering == "slabs" else np.arange(1, len(order))
     for part in np.split(order, boundaries):
         yield voxels[part]
 

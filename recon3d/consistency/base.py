@@ -40,7 +40,7 @@ class Patches:
     @property
     def n_views(self) -> NDArray[np.int64]:
         """(n_voxels,) N(v), the number of views that see each voxel (eq. 6)."""
-        return np.count_nonzero(self.counts, axis=1)
+        return np.asarray(np.count_nonzero(self.counts, axis=1))
 
     @property
     def voxel_of_pixel(self) -> NDArray[np.int64]:

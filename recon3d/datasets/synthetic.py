@@ -20,6 +20,7 @@ Texture = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
 _LIGHTS = ((np.array([0.5, -0.6, 0.62]), 0.45), (np.array([-0.7, 0.5, 0.5]), 0.3))  # direction to, strength
 _AMBIENT = 0.35
+_NOTES = {"format": "built in", "source": "little-temple"}
 
 
 @dataclass(frozen=True)
@@ -71,7 +72,12 @@ def little_temple(
     low, high = ground_truth.get_min_bound(), ground_truth.get_max_bound()
     pad = 0.02 * (high - low).max()
     scene = photograph(ground_truth, temple_texture, cameras, supersampling=supersampling)
-    scene = Scene(scene.views, make_bounds(low - pad, high + pad), "little-temple", notes={"format": "built in"})
+    scene = Scene(
+        scene.views,
+        make_bounds(low - pad, high + pad),
+        "little-temple",
+        notes=_NOTES,
+    )
     return BuiltInScene(_with_sensor(scene, noise, light_change, seed), ground_truth)
 
 
@@ -172,10 +178,11 @@ def temple_texture(points: NDArray[np.float64]) -> NDArray[np.float64]:
     albedo = np.where(points[:, 2:] > 0.0921, terracotta, cream)
     block = np.floor(points / [0.011, 0.011, 0.007]).astype(np.int64)
     tint = (block @ np.array([73856093, 19349663, 83492791]) % 1009) / 1009.0
-    grain = sum(_value_noise(points * 1000 / cell) * weight for cell, weight in ((9.0, 0.30), (3.5, 0.25), (1.5, 0.2)))
+    octaves = ((9.0, 0.30), (3.5, 0.25), (1.5, 0.2))  # cell in mm, weight
+    grain = np.sum([weight * _value_noise(points * 1000 / cell) for cell, weight in octaves], axis=0)
     brightness = 0.72 + 0.26 * tint + 0.75 * grain
     warmth = np.array([0.06, 0.0, -0.08]) * (tint[:, None] - 0.5)
-    return np.clip(albedo * np.clip(brightness, 0.25, 1.1)[:, None] + warmth, 0.03, 1.0)
+    return np.asarray(np.clip(albedo * np.clip(brightness, 0.25, 1.1)[:, None] + warmth, 0.03, 1.0))
 
 
 def _box(x: float, y: float, z: float) -> m3d.Manifold:

@@ -1,0 +1,61 @@
+"""Scenes and geometry, in and out of files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from recon3d.errors import DataError
+from recon3d.io.files import read_geometry, read_mesh, write_geometry
+from recon3d.io.middlebury import is_middlebury, read_angles, read_bounds, read_middlebury, write_middlebury
+from recon3d.scene import Scene
+
+
+class Format(NamedTuple):
+    """How a scene format is recognised and read."""
+
+    recognises: Callable[[Path], bool]
+    read: Callable[..., Scene]
+    sign: str
+
+
+FORMATS: dict[str, Format] = {
+    "middlebury": Format(is_middlebury, read_middlebury, "a folder with a *_par.txt (Middlebury)"),
+}
+
+
+def open_scene(path: Path | str, **options: Any) -> Scene:
+    """Read a scene from a folder of calibrated photographs, whatever its format.
+
+    Parameters
+    ----------
+    options : passed to the format's reader, such as ``bounds`` and ``silhouettes`` of ``read_middlebury``.
+
+    Raises
+    ------
+    DataError : nothing there, of no known format, or malformed.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise DataError(f"{path}: no such file or folder")
+    for known in FORMATS.values():
+        if known.recognises(path):
+            scene = known.read(path, **options)
+            return replace(scene, notes={**scene.notes, "source": str(path.resolve())})
+    raise DataError(f"{path}: not a known scene; expected {' or '.join(known.sign for known in FORMATS.values())}")
+
+
+__all__ = [
+    "FORMATS",
+    "Format",
+    "open_scene",
+    "read_angles",
+    "read_bounds",
+    "read_geometry",
+    "read_mesh",
+    "read_middlebury",
+    "write_geometry",
+    "write_middlebury",
+]

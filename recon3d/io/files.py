@@ -33,7 +33,7 @@ def atomic_path(path: Path | str) -> Iterator[Path]:
     try:
         yield temporary
         temporary.chmod(0o666 & ~_umask())
-        os.replace(temporary, target)
+        temporary.replace(target)
     finally:
         temporary.unlink(missing_ok=True)
 
@@ -54,20 +54,19 @@ def write_geometry(path: Path | str, geometry: Geometry) -> Path:
     OSError : the file could not be written.
     """
     path = Path(path)
-    is_mesh = isinstance(geometry, o3d.geometry.TriangleMesh)
-    allowed = MESH_SUFFIXES if is_mesh else (".ply",)
+    allowed = MESH_SUFFIXES if isinstance(geometry, o3d.geometry.TriangleMesh) else (".ply",)
     if path.suffix.lower() not in allowed:
         raise ValueError(f"{path}: a {type(geometry).__name__} is written as {', '.join(allowed)}")
-    if is_mesh:
-        if path.suffix.lower() == ".stl":
-            geometry.compute_triangle_normals()
-        write = o3d.io.write_triangle_mesh
-    elif isinstance(geometry, o3d.geometry.PointCloud):
-        write = o3d.io.write_point_cloud
-    else:
-        write = o3d.io.write_voxel_grid
     with atomic_path(path) as temporary:
-        if not write(str(temporary), geometry):
+        if isinstance(geometry, o3d.geometry.TriangleMesh):
+            if path.suffix.lower() == ".stl":
+                geometry.compute_triangle_normals()
+            done = o3d.io.write_triangle_mesh(temporary, geometry)
+        elif isinstance(geometry, o3d.geometry.PointCloud):
+            done = o3d.io.write_point_cloud(temporary, geometry)
+        else:
+            done = o3d.io.write_voxel_grid(temporary, geometry)
+        if not done:
             raise OSError(f"{path}: Open3D could not write the {type(geometry).__name__}")
     return path
 
@@ -85,13 +84,13 @@ def read_geometry(path: Path | str) -> Geometry:
     header = _ply_header(path) if path.suffix.lower() == ".ply" else ""
     geometry: Geometry
     if "element voxel_grid" in header or "element voxel " in header:
-        geometry = o3d.io.read_voxel_grid(str(path))
+        geometry = o3d.io.read_voxel_grid(path)
         empty = not geometry.has_voxels()
     elif "element vertex" in header and "element face" not in header:
-        geometry = o3d.io.read_point_cloud(str(path))
+        geometry = o3d.io.read_point_cloud(path)
         empty = not geometry.has_points()
     else:
-        geometry = o3d.io.read_triangle_mesh(str(path))
+        geometry = o3d.io.read_triangle_mesh(path)
         empty = not geometry.has_triangles()
     if empty:
         raise DataError(f"{path}: expected a mesh, point cloud or voxel grid, got nothing that Open3D can read")
@@ -129,9 +128,9 @@ def read_image(path: Path | str) -> NDArray[np.uint8]:
 
 def write_image(path: Path | str, image: NDArray[np.uint8] | NDArray[np.bool_]) -> Path:
     """Write an RGB image, or a mask as black and white; returns the path."""
-    pixels = np.asarray(image, np.uint8) * 255 if image.dtype == np.bool_ else image
+    pixels = np.asarray(image, np.uint8) * np.uint8(255 if image.dtype == np.bool_ else 1)
     if pixels.ndim == 3:
-        pixels = cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR)
+        pixels = pixels[..., ::-1]  # OpenCV writes BGR
     with atomic_path(path) as temporary:
         if not cv2.imwrite(str(temporary), pixels):
             raise OSError(f"{path}: OpenCV could not write the image")

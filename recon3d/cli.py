@@ -1,0 +1,376 @@
+"""The command line: reads arguments, calls the library, says where things lie."""
+
+from __future__ import annotations
+
+import ast
+import sys
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from recon3d._version import __version__
+from recon3d.errors import Recon3dError
+
+if TYPE_CHECKING:  # Open3D takes seconds to import, --help should not
+    import open3d as o3d
+
+    from recon3d.consistency import ConsistencyTest
+    from recon3d.datasets import BuiltInScene
+    from recon3d.pipeline import Progress, Reconstruction, Settings
+    from recon3d.scene import Scene
+
+app = typer.Typer(
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    help="Coloured, measured 3D models from calibrated photographs. Start with: recon3d demo",
+)
+
+
+class MeshFormat(StrEnum):
+    """File formats of a mesh."""
+
+    ply = "ply"
+    obj = "obj"
+    glb = "glb"
+    stl = "stl"
+
+
+SceneArgument = Annotated[
+    str, typer.Argument(metavar="SCENE", help="Folder of calibrated photographs, or 'little-temple' (built in).")
+]
+OutputOption = Annotated[Path | None, typer.Option("--output", "-o", metavar="DIR", help="Folder for the results.")]
+BoundsOption = Annotated[
+    str | None,
+    typer.Option(metavar="X0,Y0,Z0,X1,Y1,Z1", help="Box around the object in world units, if not the scene's own."),
+]
+SilhouettesOption = Annotated[
+    str,
+    typer.Option(
+        metavar="auto|background|none|FOLDER",
+        help="Masks of the object: the scene's own or else made from the dark background; none; or a folder of masks.",
+    ),
+]
+UnitOption = Annotated[float, typer.Option(metavar="MM", help="Millimetres in one world unit (1000: metres).")]
+PercentOption = Annotated[float, typer.Option(metavar="PERCENT", help="Share of the reconstruction for accuracy.")]
+ThresholdOption = Annotated[float, typer.Option(metavar="MM", help="Distance that counts as complete.")]
+SeedOption = Annotated[int, typer.Option(help="Seed of the surface samples.")]
+
+
+@app.callback(invoke_without_command=True)
+def _options(
+    context: typer.Context,
+    debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")] = False,
+    show_version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False,
+) -> None:
+    context.obj = debug
+    if show_version:
+        typer.echo(f"recon3d {__version__}")
+        raise typer.Exit
+
+
+@app.command()
+def demo(
+    output: OutputOption = None,
+    n_voxels: Annotated[int, typer.Option("--voxels", help="Approximate number of voxels.")] = 1_000_000,
+    noise: Annotated[float, typer.Option(help="Sensor noise, grey levels.")] = 0.0,
+    light_change: Annotated[float, typer.Option(help="Change of exposure between views, as a fraction.")] = 0.0,
+) -> None:
+    """Photograph the built-in little temple, reconstruct, measure and render it."""
+    from recon3d.io import write_geometry, write_middlebury
+    from recon3d.pipeline import Settings
+
+    folder = output or Path("recon3d-output/demo")
+    built_in = _photograph("little-temple", noise=noise, light_change=light_change)
+    photographs = write_middlebury(built_in.scene, folder / "photographs")
+    scene = replace(built_in.scene, notes={"format": "Middlebury", "source": str(photographs.resolve())})
+    truth = write_geometry(folder / "ground_truth.ply", built_in.ground_truth)
+    result = _run(scene, Settings(n_voxels=n_voxels), built_in.ground_truth)
+    written = _save(result, folder, ["ply"])
+    _say(result.summary())
+    _say({"photographs": photographs, "ground truth": truth, **written})
+
+
+@app.command()
+def info(
+    scene: SceneArgument,
+    output: OutputOption = None,
+    bounds: BoundsOption = None,
+    silhouettes: SilhouettesOption = "auto",
+) -> None:
+    """Say what a scene holds and which views can be used together; with --output, draw it."""
+    from recon3d.carving import largest_admissible_views
+    from recon3d.html import thumbnails
+    from recon3d.io import read_angles
+    from recon3d.io.files import write_image
+    from recon3d.silhouettes import overlay
+
+    loaded = _load(scene, bounds, silhouettes)
+    admissible = largest_admissible_views(loaded)
+    angles = read_angles(scene) if Path(scene).is_dir() else {}
+    _say(loaded.summary())
+    _say({"views for voxel colouring": f"{len(admissible)} of {len(loaded.views)} (ordinal visibility constraint)"})
+    typer.echo()
+    for view in loaded.views:
+        angle = "lat {:.1f} lon {:.1f}".format(*angles[view.name]) if view.name in angles else ""
+        use = "used" if view.name in admissible else "-"
+        known = "silhouette" if view.silhouette is not None else "no silhouette"
+        typer.echo(f"  {view.name:24} {use:6} {known:14} {angle}".rstrip())
+    if output:
+        sheet = thumbnails([overlay(loaded, view) for view in loaded.views], width=320, columns=4)
+        _say({"silhouettes and bounds": write_image(output / "views.png", sheet)})
+
+
+@app.command()
+def reconstruct(
+    scene: SceneArgument,
+    output: OutputOption = None,
+    n_voxels: Annotated[
+        int | None, typer.Option("--voxels", help="Approximate number of voxels [default: 1000000].")
+    ] = None,
+    voxel_size: Annotated[float | None, typer.Option(help="Voxel size in world units, instead of --voxels.")] = None,
+    method: Annotated[str, typer.Option(help="Carving method.")] = "voxel-coloring",
+    test: Annotated[str, typer.Option(help="Photo-consistency test: fuzzy or standard-deviation.")] = "fuzzy",
+    test_option: Annotated[
+        list[str] | None, typer.Option(metavar="NAME=VALUE", help="Parameter of the test; may be repeated.")
+    ] = None,
+    views: Annotated[
+        str, typer.Option(metavar="auto|all|NAME,NAME", help="auto: as many as the method admits.")
+    ] = "auto",
+    max_views: Annotated[int | None, typer.Option(help="With --views auto: at most so many.")] = None,
+    connectivity: Annotated[int, typer.Option(help="Neighbours of the hysteresis: 6, 18 or 26.")] = 26,
+    layering: Annotated[str, typer.Option(help="slabs, or voxels: the paper's literal reading, slow.")] = "slabs",
+    fill_hidden: Annotated[bool, typer.Option("--fill-hidden", help="Mesh what lies hidden, too: solid.")] = False,
+    bounds: BoundsOption = None,
+    silhouettes: SilhouettesOption = "auto",
+    mm_per_unit: UnitOption = 1000.0,
+    ground_truth: Annotated[Path | None, typer.Option(metavar="MESH", help="Measure against this mesh.")] = None,
+    mesh_format: Annotated[list[MeshFormat] | None, typer.Option(help="May be repeated [default: ply].")] = None,
+    pictures: Annotated[bool, typer.Option(help="Render comparison and turntable.")] = True,
+) -> None:
+    """Reconstruct a coloured mesh, points and voxels from calibrated photographs."""
+    from recon3d.io import read_mesh
+    from recon3d.pipeline import Settings
+
+    chosen_views: Any = views if views in ("auto", "all") else tuple(views.split(","))
+    size: dict[str, Any] = {} if n_voxels is None else {"n_voxels": n_voxels}
+    settings = Settings(
+        **size,
+        voxel_size=voxel_size,
+        method=method,
+        test=_make_test(test, test_option or []),
+        views=chosen_views,
+        max_views=max_views,
+        connectivity=connectivity,  # type: ignore[arg-type] # checked by the method
+        layering=layering,  # type: ignore[arg-type]
+        fill_hidden=fill_hidden,
+    )
+    truth = read_mesh(ground_truth) if ground_truth else None
+    loaded = _load(scene, bounds, silhouettes, mm_per_unit)
+    result = _run(loaded, settings, truth)
+    folder = output or Path("recon3d-output") / loaded.name
+    written = _save(result, folder, [name.value for name in mesh_format or [MeshFormat.ply]], pictures=pictures)
+    _say(result.summary())
+    _say(written)
+
+
+@app.command()
+def evaluate(
+    reconstruction: Annotated[Path, typer.Argument(metavar="RECON", help="Result folder, mesh, points or voxels.")],
+    ground_truth: Annotated[Path, typer.Argument(metavar="GROUND_TRUTH", help="Mesh or points, in the same frame.")],
+    output: OutputOption = None,
+    accuracy_percent: PercentOption = 90.0,
+    completeness_threshold: ThresholdOption = 1.25,
+    mm_per_unit: UnitOption = 1000.0,
+    real: Annotated[
+        Path | None,
+        typer.Option(metavar="MESH", help="The part of GROUND_TRUTH that is real data; the rest is filler."),
+    ] = None,
+    real_within: Annotated[float, typer.Option(metavar="MM", help="How near to --real counts as real.")] = 0.1,
+    seed: SeedOption = 0,
+) -> None:
+    """Measure a reconstruction: accuracy and completeness against a ground truth."""
+    from recon3d.figures import save_evaluation
+    from recon3d.pipeline import evaluate_files
+
+    with _progress() as report:
+        report("measuring", 0, 1)
+        measured = evaluate_files(
+            _mesh_of(reconstruction),
+            ground_truth,
+            real=real,
+            real_within_mm=real_within,
+            mm_per_unit=mm_per_unit,
+            accuracy_percent=accuracy_percent,
+            completeness_threshold_mm=completeness_threshold,
+            seed=seed,
+        )
+        report("measuring", 1, 1)
+    _say(measured.summary())
+    _say(save_evaluation(measured, output or _beside(reconstruction, "evaluation")))
+
+
+@app.command()
+def render(
+    result: Annotated[Path, typer.Argument(metavar="RESULT", help="Folder of a result, or a mesh file.")],
+    scene: Annotated[
+        str | None, typer.Option(metavar="SCENE", help="Whose cameras to use, if not those the result records.")
+    ] = None,
+    output: OutputOption = None,
+) -> None:
+    """Render a result from its input cameras, beside the photographs, and from all around."""
+    import json
+
+    from recon3d.io import read_mesh
+    from recon3d.pipeline import save_pictures
+
+    mesh = read_mesh(_mesh_of(result))
+    record_file = (result if result.is_dir() else result.parent) / "record.json"
+    names: list[str] | None = None
+    if scene is None:
+        if not record_file.is_file():
+            raise Recon3dError(f"{record_file} is missing, so the cameras are not known; give --scene")
+        record = json.loads(record_file.read_text())
+        scene, names = record["scene"].get("source"), record["scene"]["views"]
+        if scene is None:
+            raise Recon3dError(f"{record_file} does not say where the scene is; give --scene")
+    loaded = _load(scene, None, "none")
+    loaded = loaded.subset(names) if names else loaded
+    with _progress() as report:
+        report("rendering", 0, 1)
+        written = save_pictures(mesh, loaded, output or _beside(result, "renders"), every_view=True)
+        report("rendering", 1, 1)
+    _say(written)
+
+
+def main() -> None:
+    """Run a command; a known error is one line and exit code 1."""
+    debug = "--debug" in sys.argv
+    if debug:  # wherever it stands
+        sys.argv = [sys.argv[0], *(argument for argument in sys.argv[1:] if argument != "--debug")]
+    warnings.showwarning = lambda message, *_args, **_kw: typer.echo(f"Warning: {message}", err=True)
+    try:
+        app()
+    except (Recon3dError, ValueError, OSError) as error:
+        if debug:
+            raise
+        typer.echo(f"Error: {error}", err=True)
+        sys.exit(1)
+
+
+def _load(scene: str, bounds: str | None, silhouettes: str, mm_per_unit: float = 1000.0) -> Scene:
+    """Scene of a folder or of a built-in name."""
+    from recon3d.datasets import SCENES
+    from recon3d.io import open_scene
+    from recon3d.scene import make_bounds
+
+    if scene in SCENES and not Path(scene).exists():
+        return _photograph(scene).scene
+    box = None
+    if bounds is not None:
+        try:
+            numbers = [float(number) for number in bounds.split(",")]
+        except ValueError:
+            numbers = []
+        if len(numbers) != 6:
+            raise ValueError(f"--bounds: expected six numbers X0,Y0,Z0,X1,Y1,Z1, got {bounds!r}")
+        box = make_bounds(numbers[:3], numbers[3:])
+    with _progress() as report:
+        report("reading", 0, 1)
+        loaded = open_scene(scene, bounds=box, silhouettes=silhouettes, mm_per_unit=mm_per_unit)
+        report("reading", 1, 1)
+    return loaded
+
+
+def _photograph(name: str, **options: Any) -> BuiltInScene:
+    """Built-in scene of a name."""
+    from recon3d.datasets import SCENES
+
+    with _progress() as report:
+        report("photographing", 0, 1)
+        built_in = SCENES[name](**options)
+        report("photographing", 1, 1)
+    return built_in
+
+
+def _run(scene: Scene, settings: Settings, ground_truth: o3d.geometry.TriangleMesh | None) -> Reconstruction:
+    from recon3d.pipeline import reconstruct as run
+
+    with _progress() as report:
+        return run(scene, settings, ground_truth=ground_truth, progress=report)
+
+
+def _save(result: Reconstruction, folder: Path, formats: list[str], *, pictures: bool = True) -> dict[str, Path]:
+    """Write a result and, where it was measured, its curves."""
+    from recon3d.figures import save_evaluation
+
+    with _progress() as report:
+        report("writing", 0, 1)
+        written = result.save(folder, mesh_formats=formats, pictures=pictures)
+        if result.evaluation:
+            written |= save_evaluation(result.evaluation, folder)
+        report("writing", 1, 1)
+    return written
+
+
+def _make_test(name: str, options: list[str]) -> ConsistencyTest:
+    """Photo-consistency test of a name, with NAME=VALUE options."""
+    from recon3d.consistency import TESTS
+
+    if name not in TESTS:
+        raise ValueError(f"--test: expected {' or '.join(TESTS)}, got {name!r}")
+    keywords = {}
+    for option in options:
+        key, _, text = option.partition("=")
+        try:
+            keywords[key] = ast.literal_eval(text)
+        except (ValueError, SyntaxError):
+            keywords[key] = text
+    try:
+        return TESTS[name](**keywords)
+    except TypeError as error:
+        raise ValueError(f"--test-option: {error}") from None
+
+
+def _mesh_of(result: Path) -> Path:
+    """The mesh file of a result folder, or the file itself."""
+    return result / "mesh.ply" if result.is_dir() else result
+
+
+def _beside(result: Path, name: str) -> Path:
+    """Folder for what is made from a result: inside its folder, or beside its file."""
+    return (result if result.is_dir() else result.parent) / name
+
+
+def _say(rows: dict[str, Any]) -> None:
+    """Print a table to standard output."""
+    for name, value in rows.items():
+        typer.echo(f"{name + ':':32} {value}")
+
+
+@contextmanager
+def _progress() -> Iterator[Progress]:
+    """Bars on standard error, one a stage; nothing where that is not a terminal."""
+    from rich.console import Console
+    from rich.progress import Progress as Bars
+
+    with Bars(console=Console(stderr=True), disable=not sys.stderr.isatty(), transient=True) as bars:
+        tasks: dict[str, Any] = {}
+
+        def report(stage: str, done: int, total: int) -> None:
+            if stage not in tasks:
+                tasks[stage] = bars.add_task(stage, total=None if total == 1 else total)
+            bars.update(tasks[stage], completed=done, total=None if total == 1 and done == 0 else total)
+
+        yield report
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,284 @@
+"""The main job: from calibrated photographs to a coloured, measured, rendered reconstruction."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field, is_dataclass
+from importlib.metadata import version
+from pathlib import Path
+from time import perf_counter
+from typing import Any, Literal
+
+import open3d as o3d
+
+from recon3d._version import __version__
+from recon3d.carving import METHODS, PhotoHull, largest_admissible_views
+from recon3d.carving.voxel_coloring import Connectivity, Layering
+from recon3d.consistency import ConsistencyTest, FuzzyAdaptiveHysteresis
+from recon3d.errors import DataError
+from recon3d.evaluation import Evaluation, evaluate, triangles_near
+from recon3d.html import figure_html
+from recon3d.io.files import MESH_SUFFIXES, read_geometry, read_mesh, write_geometry, write_image, write_json
+from recon3d.rendering import Renderer, comparison_sheet, turntable
+from recon3d.scene import Scene
+from recon3d.surface import mesh_volume, surface_points
+from recon3d.volume import CarvingVolume
+
+Progress = Callable[[str, int, int], None]
+"""Called with a stage's name, the steps of it that are done, and how many there are."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What to do with a scene; the defaults are the paper's method at the paper's size."""
+
+    n_voxels: int | None = 1_000_000
+    """Approximate number of voxels in the bounds; None when ``voxel_size`` is given."""
+    voxel_size: float | None = None
+    """Edge length in world units, instead of ``n_voxels``."""
+    method: str = "voxel-coloring"
+    """One of ``METHODS``."""
+    test: ConsistencyTest = field(default_factory=FuzzyAdaptiveHysteresis)
+    """Any photo-consistency test."""
+    views: Literal["auto", "all"] | tuple[str, ...] = "auto"
+    """"auto": the largest subset that the method admits; "all"; or names."""
+    max_views: int | None = None
+    """With "auto": use at most so many; the paper uses 8."""
+    connectivity: Connectivity = 26
+    """Neighbours that carry a candidate of the hysteresis: 6, 18 or 26."""
+    layering: Layering = "slabs"
+    """How voxels are visited; "voxels" is the paper's literal, slow reading."""
+    fill_hidden: bool = False
+    """Mesh the accepted voxels together with those hidden behind them: solid for printing, but partly guessed."""
+    smoothing: int = 5
+    """Pairs of Taubin steps on the mesh; 0: none."""
+
+    def __post_init__(self) -> None:
+        if self.voxel_size is not None:
+            object.__setattr__(self, "n_voxels", None)
+        if self.method not in METHODS:
+            raise ValueError(f"expected method {' or '.join(METHODS)}, got {self.method!r}")
+        if isinstance(self.views, str) and self.views not in ("auto", "all"):
+            raise ValueError(f"expected views 'auto', 'all' or a tuple of names, got {self.views!r}")
+        if self.max_views is not None and self.max_views < 1:
+            raise ValueError(f"expected max_views of at least 1, got {self.max_views}")
+        if self.smoothing < 0:
+            raise ValueError(f"expected smoothing of 0 or more, got {self.smoothing}")
+
+    def record(self) -> dict[str, Any]:
+        """Every setting, for a JSON file; a test as its class and fields."""
+        plain = {name: value for name, value in vars(self).items() if name != "test"}
+        fields: dict[str, Any] = (
+            asdict(self.test) if is_dataclass(self.test) and not isinstance(self.test, type) else {}
+        )
+        return {**plain, "test": {"class": type(self.test).__qualname__, **fields}}
+
+
+@dataclass(frozen=True)
+class Reconstruction:
+    """A finished run: what went in, what came out, and how long it took."""
+
+    scene: Scene
+    """With the views that were used."""
+    settings: Settings
+    hull: PhotoHull
+    points: o3d.geometry.PointCloud
+    """Coloured centres of the surface voxels with outward normals."""
+    mesh: o3d.geometry.TriangleMesh
+    """Closed, smooth, coloured."""
+    timings: dict[str, float]
+    """Seconds of each step."""
+    evaluation: Evaluation | None = None
+    """Of the mesh, where a ground truth was given."""
+
+    def save(
+        self, folder: Path | str, *, mesh_formats: Sequence[str] = ("ply",), pictures: bool = True
+    ) -> dict[str, Path]:
+        """Write meshes, points, voxels, pictures and the record into a folder; each file whole or not at all.
+
+        Parameters
+        ----------
+        mesh_formats : of "ply", "obj", "glb", "stl".
+        pictures : whether to render the comparison with the photographs and the turntable.
+
+        Returns
+        -------
+        dict
+            What was written: role to path.
+        """
+        folder = Path(folder)
+        known = [suffix[1:] for suffix in MESH_SUFFIXES]
+        unknown = [name for name in mesh_formats if name not in known]
+        if unknown:
+            raise ValueError(f"expected mesh formats among {', '.join(known)}, got {', '.join(unknown)}")
+        written = {f"mesh ({name})": write_geometry(folder / f"mesh.{name}", self.mesh) for name in mesh_formats}
+        written["points"] = write_geometry(folder / "points.ply", self.points)
+        written["voxel grid"] = write_geometry(folder / "voxels.ply", self.hull.volume.to_voxel_grid())
+        if pictures:
+            written |= save_pictures(self.mesh, self.scene, folder)
+        written["figures"] = write_json(folder / "record.json", self.record())
+        return written
+
+    def record(self) -> dict[str, Any]:
+        """Every parameter, version, timing and figure of the run, for a JSON file."""
+        volume = self.hull.volume
+        return {
+            "recon3d": __version__,
+            "versions": {
+                "python": platform.python_version(),
+                **{name: version(name) for name in ("numpy", "numba", "scipy", "opencv-python-headless")},
+                "open3d": o3d.__version__,
+            },
+            "scene": {
+                "name": self.scene.name,
+                "views": [view.name for view in self.scene.views],
+                "bounds": [list(self.scene.bounds.min_bound), list(self.scene.bounds.max_bound)],
+                "mm_per_unit": self.scene.mm_per_unit,
+                **self.scene.notes,
+            },
+            "settings": self.settings.record(),
+            "volume": {"shape": list(volume.shape), "voxel_size": volume.voxel_size, "origin": list(volume.origin)},
+            "voxels": self.hull.counts(),
+            "mesh": {"vertices": len(self.mesh.vertices), "triangles": len(self.mesh.triangles)},
+            "timings_s": self.timings,
+            "evaluation": self.evaluation.record() if self.evaluation else None,
+        }
+
+    def summary(self) -> dict[str, object]:
+        """Table of the run."""
+        volume = self.hull.volume
+        mm = volume.voxel_size * self.scene.mm_per_unit
+        return {
+            "views": f"{len(self.scene.views)}: {', '.join(Path(view.name).stem for view in self.scene.views)}",
+            "voxels": f"{volume.occupied.size:,} of {mm:.3g} mm, {volume.n_occupied:,} accepted",
+            "mesh": f"{len(self.mesh.triangles):,} triangles",
+            "time": ", ".join(f"{name} {seconds:.2f} s" for name, seconds in self.timings.items()),
+            **(self.evaluation.summary() if self.evaluation else {}),
+        }
+
+    def _repr_html_(self) -> str:
+        picture = turntable(self.scene, Renderer(self.mesh), frames=4, size=200)
+        return figure_html(f"Reconstruction of {self.scene.name}", self.summary(), picture)
+
+
+def reconstruct(
+    scene: Scene,
+    settings: Settings | None = None,
+    *,
+    ground_truth: o3d.geometry.TriangleMesh | None = None,
+    progress: Progress | None = None,
+) -> Reconstruction:
+    """Carve, mesh and, given a ground truth in the scene's frame, measure.
+
+    Raises
+    ------
+    VisibilityError : the views do not satisfy what the method needs.
+    VolumeTooLargeError : the volume does not fit into memory.
+    EmptyReconstructionError : nothing was left.
+    """
+    settings = settings or Settings()
+    report = progress or (lambda _stage, _done, _total: None)
+    timings: dict[str, float] = {}
+
+    with _timed(timings, "views"):
+        scene = choose_views(scene, settings)
+    with _timed(timings, "carving"):
+        volume = CarvingVolume.enclosing(scene.bounds, voxel_size=settings.voxel_size, n_voxels=settings.n_voxels)
+        hull = METHODS[settings.method](
+            scene,
+            volume,
+            settings.test,
+            connectivity=settings.connectivity,
+            layering=settings.layering,
+            progress=lambda done, total: report("carving", done, total),
+        )
+    with _timed(timings, "surface"):
+        report("surface", 0, 2)
+        points = surface_points(hull.volume, solid=hull.solid)
+        report("surface", 1, 2)
+        shape = hull.solid if settings.fill_hidden else hull.volume
+        mesh = mesh_volume(shape, colors_from=hull.volume, smoothing=settings.smoothing)
+        report("surface", 2, 2)
+    evaluation = None
+    if ground_truth is not None:
+        with _timed(timings, "evaluation"):
+            report("evaluation", 0, 1)
+            evaluation = evaluate(mesh, ground_truth, mm_per_unit=scene.mm_per_unit)
+            report("evaluation", 1, 1)
+    return Reconstruction(scene, settings, hull, points, mesh, timings, evaluation)
+
+
+def evaluate_files(
+    reconstruction: Path | str,
+    ground_truth: Path | str,
+    *,
+    real: Path | str | None = None,
+    real_within_mm: float = 0.1,
+    mm_per_unit: float = 1000.0,
+    **options: Any,
+) -> Evaluation:
+    """Measure a mesh, point cloud or voxel grid file against a ground truth file.
+
+    Parameters
+    ----------
+    real : mesh of the part of the ground truth that is real data; ground truth farther than ``real_within_mm`` from
+        it is filler, where nothing is measured.
+    options : passed to ``evaluate``.
+
+    Raises
+    ------
+    DataError : a file is missing or holds no geometry of the kind that is needed.
+    """
+    shape, truth = read_geometry(reconstruction), read_geometry(ground_truth)
+    if isinstance(truth, o3d.geometry.VoxelGrid):
+        raise DataError(f"{ground_truth}: expected a mesh or point cloud as ground truth, got a voxel grid")
+    mask = None
+    if real is not None:
+        if not isinstance(truth, o3d.geometry.TriangleMesh):
+            raise DataError(f"{ground_truth}: a real part can be told only of a mesh, got a point cloud")
+        mask = triangles_near(truth, read_mesh(real), real_within_mm / mm_per_unit)
+    return evaluate(shape, truth, real=mask, mm_per_unit=mm_per_unit, **options)
+
+
+def choose_views(scene: Scene, settings: Settings) -> Scene:
+    """The scene with the views that the settings ask for."""
+    if settings.views == "all":
+        return scene
+    if settings.views == "auto":
+        return scene.subset(largest_admissible_views(scene, limit=settings.max_views))
+    return scene.subset(settings.views)
+
+
+def save_pictures(
+    mesh: o3d.geometry.TriangleMesh, scene: Scene, folder: Path | str, *, every_view: bool = False
+) -> dict[str, Path]:
+    """Render a mesh beside the photographs, and from all around; returns role to path.
+
+    Parameters
+    ----------
+    every_view : also write each view's coloured, shaded, normals and depth pictures into ``views/``, and compare all
+        views instead of four.
+    """
+    folder = Path(folder)
+    renderer = Renderer(mesh)
+    shown = len(scene.views) if every_view else 4
+    written = {
+        "comparison": write_image(folder / "comparison.png", comparison_sheet(scene, renderer, views=shown)),
+        "turntable": write_image(folder / "turntable.png", turntable(scene, renderer)),
+    }
+    if every_view:
+        for view in scene.views:
+            for mode, picture in renderer.render_view(view).pictures().items():
+                write_image(folder / "views" / f"{Path(view.name).stem}_{mode}.png", picture)
+        written["views"] = folder / "views"
+    return written
+
+
+@contextmanager
+def _timed(timings: dict[str, float], name: str) -> Iterator[None]:
+    """Note how many seconds a block took."""
+    start = perf_counter()
+    yield
+    timings[name] = round(perf_counter() - start, 3)
