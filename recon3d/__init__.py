@@ -26,7 +26,12 @@ The main job::
     result.save("out")
 """
 
-# The names and where they live are in __init__.pyi; each is imported on its first use, since Open3D takes seconds.
+import os
+
 import lazy_loader
 
+# Threads that spin while they wait make short parallel loops ten times slower on a busy machine.
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+
+# The names and where they live are in __init__.pyi; each is imported on its first use, since Open3D takes seconds.
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

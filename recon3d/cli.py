@@ -142,7 +142,10 @@ def reconstruct(
         list[str] | None, typer.Option(metavar="NAME=VALUE", help="Parameter of the test; may be repeated.")
     ] = None,
     views: Annotated[
-        str, typer.Option(metavar="auto|all|NAME,NAME", help="auto: as many as the method admits.")
+        str,
+        typer.Option(
+            metavar="auto|all|NAME,NAME", help="auto: as many as the method admits; names may hold wildcards."
+        ),
     ] = "auto",
     max_views: Annotated[int | None, typer.Option(help="With --views auto: at most so many.")] = None,
     connectivity: Annotated[int, typer.Option(help="Neighbours of the hysteresis: 6, 18 or 26.")] = 26,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fnmatch
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from itertools import product
@@ -216,13 +217,15 @@ class Scene:
         return np.array([int(view.sees(corners).sum()) for view in self.views])
 
     def subset(self, names: Iterable[str]) -> Scene:
-        """The same scene with only the named views, in the order given."""
-        by_name = {view.name: view for view in self.views}
-        wanted = list(names)
-        unknown = [name for name in wanted if name not in by_name]
-        if unknown:
-            raise SceneError(f"scene {self.name} has no view {', '.join(unknown)}; it has {', '.join(by_name)}")
-        return replace(self, views=tuple(by_name[name] for name in wanted))
+        """The same scene with only the named views, in scene order; a name may hold the wildcards * ? [1-8]."""
+        known = [view.name for view in self.views]
+        chosen: set[str] = set()
+        for name in names:
+            found = [name] if name in known else fnmatch.filter(known, name)
+            if not found:
+                raise SceneError(f"scene {self.name} has no view {name}; it has {', '.join(known)}")
+            chosen.update(found)
+        return replace(self, views=tuple(view for view in self.views if view.name in chosen))
 
     @property
     def centers(self) -> NDArray[np.float64]:

@@ -39,29 +39,32 @@ def with_background_silhouettes(
     level: float = BACKGROUND_LEVEL,
     dilate: int = 10,
     erode: int = 7,
+    fill: int = 20,
     only: Collection[str] | None = None,
 ) -> Scene:
     """Scene with silhouettes made from a dark background.
 
-    Threshold, dilate, erode, as the README of Middlebury's dinoSparseRing says; then cut to the projected bounds,
-    since a stand may be brighter than the threshold. Nothing is taken off at the image border: what lies beyond it
-    is unknown, not empty.
+    Threshold, dilate, erode, as the README of Middlebury's dinoSparseRing says; small holes are filled, since dark
+    shadows on an object leave them; then cut to the projected bounds, since a stand may be brighter than the
+    threshold. Nothing is taken off at the image border: what lies beyond it is unknown, not empty.
 
     Parameters
     ----------
     level : fraction of white in (0, 1).
     dilate, erode : radii in pixels; their difference is the safety margin.
+    fill : enclosed holes smaller than a disc of this radius in pixels belong to the object.
     only : names of the views to treat; the others get none. All when None.
     """
     if not 0 < level < 1:
         raise ValueError(f"expected a level between 0 and 1, got {level}")
-    if dilate < 0 or erode < 0:
-        raise ValueError(f"expected radii of 0 pixels or more, got dilate={dilate}, erode={erode}")
+    if min(dilate, erode, fill) < 0:
+        raise ValueError(f"expected radii of 0 pixels or more, got dilate={dilate}, erode={erode}, fill={fill}")
 
     def silhouette(view: View) -> NDArray[np.bool_]:
         grown = cv2.dilate(foreground(view.image, level).astype(np.uint8), _disc(dilate))
         # OpenCV's border value for erosion is the largest one, so a silhouette that leaves the image stays attached.
-        return np.asarray((cv2.erode(grown, _disc(erode)) > 0) & bounds_mask(scene, view))
+        closed = _without_small_holes(cv2.erode(grown, _disc(erode)) > 0, np.pi * fill**2)
+        return closed & bounds_mask(scene, view)
 
     return replace(
         scene,
@@ -114,6 +117,16 @@ def overlay(scene: Scene, view: View) -> NDArray[np.uint8]:
     edge = cv2.morphologyEx(bounds_mask(scene, view).astype(np.uint8), cv2.MORPH_GRADIENT, _disc(1)) > 0
     picture[edge] = (255, 220, 0)
     return picture
+
+
+def _without_small_holes(mask: NDArray[np.bool_], area: float) -> NDArray[np.bool_]:
+    """The mask with its enclosed holes below an area in pixels filled; one at the image border may go on outside."""
+    _, labels, stats, _ = cv2.connectedComponentsWithStats((~mask).astype(np.uint8), connectivity=4)
+    left, top, width, height, size = stats[:, : cv2.CC_STAT_AREA + 1].T
+    inside = (left > 0) & (top > 0) & (left + width < mask.shape[1]) & (top + height < mask.shape[0])
+    small = inside & (size < area)
+    small[0] = False  # the mask itself
+    return np.asarray(mask | small[labels])
 
 
 def _disc(radius: int) -> NDArray[np.uint8]:

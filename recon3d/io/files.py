@@ -83,7 +83,7 @@ def read_geometry(path: Path | str) -> Geometry:
         raise DataError(f"{path}: no such file")
     header = _ply_header(path) if path.suffix.lower() == ".ply" else ""
     geometry: Geometry
-    if "element voxel_grid" in header or "element voxel " in header:
+    if "element voxel_size" in header:
         geometry = o3d.io.read_voxel_grid(path)
         empty = not geometry.has_voxels()
     elif "element vertex" in header and "element face" not in header:
