@@ -8,7 +8,7 @@ import numpy as np
 import open3d as o3d
 from numpy.typing import NDArray
 
-from recon3d.html import figure_html
+from recon3d.html import Summarised
 from recon3d.volume import CarvingVolume
 
 Shape = o3d.geometry.TriangleMesh | o3d.geometry.PointCloud | o3d.geometry.VoxelGrid | CarvingVolume
@@ -17,8 +17,8 @@ SAMPLES_PER_DIAGONAL = 1000
 """Samples lie about this fraction of the ground truth's bounding-box diagonal apart."""
 
 
-@dataclass(frozen=True)
-class Evaluation:
+@dataclass(frozen=True, repr=False)
+class Evaluation(Summarised):
     """Both directions of the distance between a reconstruction R and a ground truth G, in millimetres."""
 
     accuracy_distances: NDArray[np.float64]
@@ -91,9 +91,6 @@ class Evaluation:
             "ground_truth_samples": len(self.completeness_distances),
             "samples_left_out": self.left_out,
         }
-
-    def _repr_html_(self) -> str:
-        return figure_html("Evaluation", self.summary())
 
 
 def evaluate(

@@ -1,4 +1,4 @@
-"""Small pictures and tables for notebooks."""
+"""How values show themselves: one line in a terminal, a table and a picture in a notebook."""
 
 import base64
 import html
@@ -9,7 +9,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 
-def figure_html(title: str, rows: Mapping[str, object], picture: NDArray[np.uint8] | None = None) -> str:
+class Summarised:
+    """A value that is told by a table, and perhaps a picture, instead of all its arrays."""
+
+    def summary(self) -> Mapping[str, object]:
+        """Rows of the table."""
+        raise NotImplementedError
+
+    def picture(self) -> NDArray[np.uint8] | None:
+        """RGB picture, or None."""
+        return None
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({', '.join(f'{name}: {value}' for name, value in self.summary().items())})"
+
+    def _repr_html_(self) -> str:
+        return _figure_html(type(self).__name__, self.summary(), self.picture())
+
+
+def _figure_html(title: str, rows: Mapping[str, object], picture: NDArray[np.uint8] | None) -> str:
     """HTML of a titled two-column table, beside an RGB picture when there is one."""
     cells = "".join(
         f"<tr><th style='text-align:left'>{html.escape(key)}</th>"

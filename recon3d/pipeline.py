@@ -11,7 +11,9 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any, Literal
 
+import numpy as np
 import open3d as o3d
+from numpy.typing import NDArray
 
 from recon3d._version import __version__
 from recon3d.carving import METHODS, PhotoHull, largest_admissible_views
@@ -19,7 +21,7 @@ from recon3d.carving.voxel_coloring import Connectivity, Layering
 from recon3d.consistency import ConsistencyTest, FuzzyAdaptiveHysteresis
 from recon3d.errors import DataError
 from recon3d.evaluation import Evaluation, evaluate, triangles_near
-from recon3d.html import figure_html
+from recon3d.html import Summarised
 from recon3d.io.files import MESH_SUFFIXES, read_geometry, read_mesh, write_geometry, write_image, write_json
 from recon3d.rendering import Renderer, comparison_sheet, turntable
 from recon3d.scene import Scene
@@ -76,8 +78,8 @@ class Settings:
         return {**plain, "test": {"class": type(self.test).__qualname__, **fields}}
 
 
-@dataclass(frozen=True)
-class Reconstruction:
+@dataclass(frozen=True, repr=False)
+class Reconstruction(Summarised):
     """A finished run: what went in, what came out, and how long it took."""
 
     scene: Scene
@@ -151,16 +153,16 @@ class Reconstruction:
         volume = self.hull.volume
         mm = volume.voxel_size * self.scene.mm_per_unit
         return {
-            "views": f"{len(self.scene.views)}: {', '.join(Path(view.name).stem for view in self.scene.views)}",
+            "scene": f"{self.scene.name}, {len(self.scene.views)} views",
             "voxels": f"{volume.occupied.size:,} of {mm:.3g} mm, {volume.n_occupied:,} accepted",
             "mesh": f"{len(self.mesh.triangles):,} triangles",
             "time": ", ".join(f"{name} {seconds:.2f} s" for name, seconds in self.timings.items()),
             **(self.evaluation.summary() if self.evaluation else {}),
         }
 
-    def _repr_html_(self) -> str:
-        picture = turntable(self.scene, Renderer(self.mesh), frames=4, size=200)
-        return figure_html(f"Reconstruction of {self.scene.name}", self.summary(), picture)
+    def picture(self) -> NDArray[np.uint8]:
+        """The mesh from four sides."""
+        return turntable(self.scene, Renderer(self.mesh), frames=4, size=200)
 
 
 def reconstruct(

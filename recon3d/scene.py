@@ -12,7 +12,7 @@ import open3d as o3d
 from numpy.typing import ArrayLike, NDArray
 
 from recon3d.errors import SceneError
-from recon3d.html import figure_html, thumbnails
+from recon3d.html import Summarised, thumbnails
 
 ROTATION_TOLERANCE = 1e-3  # published matrices are rounded
 
@@ -43,8 +43,8 @@ def check_extrinsics(cam_from_world: NDArray[np.float64]) -> str | None:
     return None
 
 
-@dataclass(frozen=True)
-class View:
+@dataclass(frozen=True, repr=False)
+class View(Summarised):
     """One calibrated photograph."""
 
     camera: o3d.camera.PinholeCameraParameters
@@ -151,6 +151,20 @@ class View:
             & (pixels < np.array([self.width, self.height]) - 0.5).all(axis=1)
         )
 
+    def summary(self) -> dict[str, object]:
+        """Table of what the view is."""
+        return {
+            "name": self.name,
+            "image size": f"{self.width}x{self.height}",
+            "silhouette": "known" if self.silhouette is not None else "not known",
+            "focal lengths (pixels)": f"{self.K[0, 0]:.1f}, {self.K[1, 1]:.1f}",
+            "centre": ", ".join(f"{x:.4g}" for x in self.center),
+        }
+
+    def picture(self) -> NDArray[np.uint8]:
+        """The photograph."""
+        return self.image
+
 
 def _view_from_parts(
     K: NDArray[np.float64],
@@ -176,8 +190,8 @@ def bounds_corners(bounds: o3d.geometry.AxisAlignedBoundingBox) -> NDArray[np.fl
     return np.array([[sides[c, axis] for axis, c in enumerate(corner)] for corner in product((0, 1), repeat=3)])
 
 
-@dataclass(frozen=True)
-class Scene:
+@dataclass(frozen=True, repr=False)
+class Scene(Summarised):
     """Calibrated views of one object, the box that holds it, and what a world unit means."""
 
     views: tuple[View, ...]
@@ -244,6 +258,7 @@ class Scene:
         """Table of what the scene holds."""
         sizes = sorted({f"{view.width}x{view.height}" for view in self.views})
         return {
+            "name": self.name,
             "views": len(self.views),
             "image size": ", ".join(sizes),
             "silhouettes": sum(view.silhouette is not None for view in self.views),
@@ -252,7 +267,6 @@ class Scene:
             **self.notes,
         }
 
-    def _repr_html_(self) -> str:
-        return figure_html(
-            self.name, self.summary(), thumbnails([view.image for view in self.views], width=120, columns=4)
-        )
+    def picture(self) -> NDArray[np.uint8]:
+        """All photographs, small."""
+        return thumbnails([view.image for view in self.views], width=120, columns=4)

@@ -10,14 +10,14 @@ import psutil
 from numpy.typing import ArrayLike, NDArray
 
 from recon3d.errors import EmptyReconstructionError, VolumeTooLargeError
-from recon3d.html import figure_html, thumbnails
+from recon3d.html import Summarised, thumbnails
 
 BYTES_PER_VOXEL = 40
 """Peak memory of carving and meshing, measured on full volumes, rounded up."""
 
 
-@dataclass(frozen=True)
-class CarvingVolume:
+@dataclass(frozen=True, repr=False)
+class CarvingVolume(Summarised):
     """Cubic voxels; voxel (i, j, k) spans ``origin + size * (i, j, k)`` to ``origin + size * (i+1, j+1, k+1)``."""
 
     origin: NDArray[np.float64]
@@ -150,9 +150,9 @@ class CarvingVolume:
             "occupied": f"{self.n_occupied:,} ({100 * self.n_occupied / self.occupied.size:.1f}%)",
         }
 
-    def _repr_html_(self) -> str:
-        sides = [self._seen_along(axis) for axis in range(3)]
-        return figure_html("CarvingVolume", self.summary(), thumbnails(sides, width=200, columns=3))
+    def picture(self) -> NDArray[np.uint8]:
+        """The occupied voxels seen along the three axes."""
+        return thumbnails([self._seen_along(axis) for axis in range(3)], width=200, columns=3)
 
     def _seen_along(self, axis: int) -> NDArray[np.uint8]:
         """RGB picture of the first occupied voxels along an axis; uncoloured ones grey by depth."""

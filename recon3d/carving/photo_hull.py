@@ -8,7 +8,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from recon3d.html import figure_html
+from recon3d.html import Summarised
 from recon3d.volume import CarvingVolume
 
 
@@ -27,8 +27,8 @@ class Label(IntEnum):
     """Accepted and coloured."""
 
 
-@dataclass(frozen=True)
-class PhotoHull:
+@dataclass(frozen=True, repr=False)
+class PhotoHull(Summarised):
     """The accepted voxels, and what was found out about the others."""
 
     volume: CarvingVolume
@@ -85,5 +85,6 @@ class PhotoHull:
         """Table of the verdicts."""
         return {**self.volume.summary(), **{name: f"{number:,}" for name, number in self.counts().items()}}
 
-    def _repr_html_(self) -> str:
-        return figure_html("PhotoHull", self.summary()) + self.volume._repr_html_()
+    def picture(self) -> NDArray[np.uint8]:
+        """The accepted voxels seen along the three axes."""
+        return self.volume.picture()
