@@ -16,6 +16,9 @@ Shape = o3d.geometry.TriangleMesh | o3d.geometry.PointCloud | o3d.geometry.Voxel
 SAMPLES_PER_DIAGONAL = 1000
 """Samples lie about this fraction of the ground truth's bounding-box diagonal apart."""
 
+MEASURED_SHARE = 4
+"""Distances are measured from every fourth sample of a mesh, to all of the other's."""
+
 
 @dataclass(frozen=True, repr=False)
 class Evaluation(Summarised):
@@ -136,6 +139,11 @@ def evaluate(
     rng = np.random.default_rng(seed)
     samples_g, owner_g = sample_surface(ground_truth, spacing, rng)
     samples_r, _ = sample_surface(reconstruction, spacing, rng)
+    # Stratified samples come in the order of the triangles, so that every fourth is as even as all.
+    step_g, step_r = (
+        MEASURED_SHARE if isinstance(shape, o3d.geometry.TriangleMesh) else 1
+        for shape in (ground_truth, reconstruction)
+    )
     if real is None:
         real_g = np.ones(len(samples_g), np.bool_)
     else:
@@ -146,11 +154,11 @@ def evaluate(
             raise ValueError(f"expected a bool mask ({n_owners},) with a True in it, got {real.shape} {real.dtype}")
         real_g = real[owner_g]
 
-    to_g, nearest = _distances(samples_r, samples_g, want_index=real is not None)
+    to_g, nearest = _distances(samples_r[::step_r], samples_g, want_index=real is not None)
     kept = real_g[nearest] if real is not None else np.ones(len(to_g), np.bool_)
     if not kept.any():
         raise ValueError("every sample of the reconstruction lies nearest to filler: are both in one frame?")
-    to_r, _ = _distances(samples_g[real_g], samples_r)
+    to_r, _ = _distances(samples_g[real_g][::step_g], samples_r)
     return Evaluation(
         np.sort(to_g[kept]) * mm_per_unit,
         np.sort(to_r) * mm_per_unit,

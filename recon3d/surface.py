@@ -38,7 +38,7 @@ def mesh_volume(
     padded = np.pad(volume.occupied, _PADDING).astype(np.float32)
     # In (0.5, 1] where occupied and [0, 0.5) elsewhere; without ties marching cubes gives manifold edges.
     field = 0.5 * padded + np.clip(0.5 * gaussian_filter(padded, 1.0), 1e-3, 0.5 - 1e-3)
-    vertices, faces, _, _ = marching_cubes(field, 0.5, gradient_direction="descent")
+    vertices, faces, _, _ = marching_cubes(field, 0.5, gradient_direction="ascent")
     # A voxel's index is its centre in marching cubes, its lowest corner in a volume.
     points = volume.origin + (vertices - _PADDING + 0.5) * volume.voxel_size
     mesh = o3d.geometry.TriangleMesh(o3d.utility.Vector3dVector(points), o3d.utility.Vector3iVector(faces))

@@ -13,6 +13,7 @@ from typing import Any
 import cv2
 import numpy as np
 import open3d as o3d
+import trimesh
 from numpy.typing import NDArray
 
 from recon3d.errors import DataError
@@ -59,9 +60,10 @@ def write_geometry(path: Path | str, geometry: Geometry) -> Path:
         raise ValueError(f"{path}: a {type(geometry).__name__} is written as {', '.join(allowed)}")
     with atomic_path(path) as temporary:
         if isinstance(geometry, o3d.geometry.TriangleMesh):
-            if path.suffix.lower() == ".stl":
-                geometry.compute_triangle_normals()
-            done = o3d.io.write_triangle_mesh(temporary, geometry)
+            if path.suffix.lower() == ".ply":
+                done = o3d.io.write_triangle_mesh(temporary, geometry)
+            else:  # Open3D 0.20 cannot read the GLB that it writes
+                done = bool(_to_trimesh(geometry).export(temporary, file_type=path.suffix[1:].lower()))
         elif isinstance(geometry, o3d.geometry.PointCloud):
             done = o3d.io.write_point_cloud(temporary, geometry)
         else:
@@ -147,6 +149,19 @@ def write_text(path: Path | str, text: str) -> Path:
     with atomic_path(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
     return Path(path)
+
+
+def _to_trimesh(mesh: o3d.geometry.TriangleMesh) -> trimesh.Trimesh:
+    """The same mesh, vertex by vertex, with 8-bit colours."""
+    return trimesh.Trimesh(
+        np.asarray(mesh.vertices),
+        np.asarray(mesh.triangles),
+        vertex_normals=np.asarray(mesh.vertex_normals) if mesh.has_vertex_normals() else None,
+        vertex_colors=np.rint(255 * np.asarray(mesh.vertex_colors)).astype(np.uint8)
+        if mesh.has_vertex_colors()
+        else None,
+        process=False,
+    )
 
 
 def _ply_header(path: Path) -> str:

@@ -1,0 +1,128 @@
+"""The command line as a user types it."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import recon3d
+
+
+def run(*arguments: object, expect: int = 0) -> subprocess.CompletedProcess[str]:
+    process = subprocess.run(
+        [sys.executable, "-m", "recon3d.cli", *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "COLUMNS": "120", "NO_COLOR": "1"},
+        check=False,
+    )
+    assert process.returncode == expect, process.stdout + process.stderr
+    return process
+
+
+@pytest.fixture(scope="module")
+def photographs(temple: recon3d.BuiltInScene, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return recon3d.write_middlebury(temple.scene, tmp_path_factory.mktemp("data") / "photographs")
+
+
+@pytest.fixture(scope="module")
+def result(photographs: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("result")
+    run("reconstruct", photographs, "--voxels", 40_000, "-o", folder, "--mesh-format", "ply", "--mesh-format", "glb")
+    return folder
+
+
+def test_help_says_what_each_command_does() -> None:
+    text = run("--help").stdout
+    for command in ("demo", "info", "reconstruct", "evaluate", "render"):
+        assert command in text
+        assert "Usage" in run(command, "--help").stdout
+
+
+def test_the_version_is_printed() -> None:
+    assert run("--version").stdout.strip() == f"recon3d {recon3d.__version__}"
+
+
+def test_the_demo_names_files_that_exist(tmp_path: Path) -> None:
+    process = run("demo", "--voxels", 30_000, "-o", tmp_path)
+    for name in ("mesh.ply", "voxels.ply", "comparison.png", "turntable.png", "record.json", "evaluation.png"):
+        assert str(tmp_path / name) in process.stdout
+        assert (tmp_path / name).stat().st_size > 0
+    assert "accuracy" in process.stdout
+    assert process.stderr == ""  # no bars where there is no terminal
+
+
+def test_info_lists_the_views(photographs: Path, tmp_path: Path) -> None:
+    text = run("info", photographs, "-o", tmp_path).stdout
+    assert "8 of 8 (ordinal visibility constraint)" in text
+    assert text.count("silhouette") >= 8
+    assert (tmp_path / "views.png").is_file()
+
+
+def test_a_reconstruction_is_written_measured_and_rendered(
+    result: Path, temple: recon3d.BuiltInScene, tmp_path: Path
+) -> None:
+    assert (result / "mesh.glb").is_file()
+    truth = recon3d.write_geometry(tmp_path / "truth.ply", temple.ground_truth)
+    text = run("evaluate", result, truth, "-o", tmp_path, "--completeness-threshold", 3).stdout
+    assert "completeness (3 mm)" in text
+    figures = json.loads((tmp_path / "evaluation.json").read_text())
+    assert 0 < figures["accuracy_mm"] < 20
+    assert len(figures["curves"]["distance_mm"]) == 100
+    assert (tmp_path / "evaluation.png").is_file()
+    run("render", result, "-o", tmp_path / "renders")
+    assert len(list((tmp_path / "renders" / "views").iterdir())) == 4 * len(temple.scene.views)
+
+
+def test_a_test_and_its_options_are_chosen_by_name(photographs: Path, tmp_path: Path) -> None:
+    run(
+        "reconstruct", photographs, "--voxels", 8000, "-o", tmp_path, "--no-pictures",
+        "--test", "standard-deviation", "--test-option", "threshold=45", "--views", "view0[1-5]*",
+    )  # fmt: skip
+    record = json.loads((tmp_path / "record.json").read_text())
+    assert record["settings"]["test"] == {"class": "StandardDeviation", "threshold": 45}
+    assert len(record["scene"]["views"]) == 5
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["reconstruct", "nowhere"], "nowhere: no such file or folder"),
+        (["reconstruct", "PHOTOGRAPHS", "--test", "magic"], "--test: expected fuzzy or standard-deviation"),
+        (["reconstruct", "PHOTOGRAPHS", "--test-option", "colour=3"], "--test-option: "),
+        (["reconstruct", "PHOTOGRAPHS", "--voxel-size", "1e-7"], "a voxel size of"),
+        (["reconstruct", "PHOTOGRAPHS", "--bounds", "1,2,3"], "--bounds: expected six numbers"),
+        (["reconstruct", "PHOTOGRAPHS", "--connectivity", "7"], "expected connectivity 6, 18 or 26"),
+        (["reconstruct", "PHOTOGRAPHS", "--views", "view99.png"], "has no view view99.png"),
+        (["evaluate", "nowhere.ply", "nowhere.ply"], "nowhere.ply: no such file"),
+        (["render", "nowhere.ply"], "nowhere.ply: no such file"),
+    ],
+)
+def test_a_mistake_is_one_line_and_a_failure(arguments: list[str], message: str, photographs: Path) -> None:
+    process = run(*(str(photographs) if a == "PHOTOGRAPHS" else a for a in arguments), expect=1)
+    assert message in process.stderr
+    assert len(process.stderr.strip().splitlines()) == 1
+    assert process.stdout == ""
+
+
+def test_debug_shows_the_traceback() -> None:
+    assert "Traceback" in run("reconstruct", "nowhere", "--debug", expect=1).stderr
+
+
+def test_a_wrong_option_is_a_failure() -> None:
+    run("reconstruct", "--no-such-option", expect=2)
+
+
+def test_the_evaluation_script_prints_both_figures(result: Path, temple: recon3d.BuiltInScene, tmp_path: Path) -> None:
+    truth = recon3d.write_geometry(tmp_path / "truth.ply", temple.ground_truth)
+    script = Path(__file__).parents[1] / "scripts" / "evaluate_middlebury.py"
+    process = subprocess.run(
+        [sys.executable, script, result / "mesh.ply", truth, "--output", tmp_path],
+        capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    figures = json.loads((tmp_path / "evaluation.json").read_text())
+    assert f"accuracy     {figures['accuracy_mm']:.2f} mm" in process.stdout
+    assert f"completeness {figures['completeness_percent']:.1f} %" in process.stdout

@@ -1,0 +1,250 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scenes import plain_view
+from scipy.ndimage import binary_dilation, binary_erosion
+
+from recon3d.datasets.synthetic import BuiltInScene
+from recon3d.errors import DataError
+from recon3d.io.files import write_image
+from recon3d.scene import Scene, make_bounds
+from recon3d.silhouettes import (
+    bounds_mask,
+    foreground,
+    overlay,
+    with_background_silhouettes,
+    with_mask_files,
+    without_silhouettes,
+)
+
+WIDE = make_bounds([-9, -9, -3], [9, 9, 3])  # fills the image of plain_view
+
+
+def scene_with(image: NDArray[np.uint8]) -> Scene:
+    """One view of the image, bounds that fill it."""
+    view = plain_view(width=image.shape[1], height=image.shape[0], name="a.png")
+    return Scene((replace(view, image=image),), WIDE)
+
+
+def blob_image() -> NDArray[np.uint8]:
+    """Black, with a bright rectangle, a hole in it and a bright speck away from it."""
+    image = np.zeros((60, 80, 3), np.uint8)
+    image[20:40, 25:55] = (90, 10, 10)
+    image[28:31, 38:41] = 0
+    image[8, 8] = 255
+    return image
+
+
+def silhouette_of(scene: Scene, **options: float) -> NDArray[np.bool_]:
+    silhouette = with_background_silhouettes(scene, **options).views[0].silhouette  # type: ignore[arg-type]
+    assert silhouette is not None
+    return silhouette
+
+
+def test_the_brightest_channel_decides_what_is_foreground() -> None:
+    # 0.19 of white is 48.45.
+    image = np.array([[[48, 0, 0], [0, 49, 0], [48, 48, 48], [0, 0, 255]]], np.uint8)
+    assert foreground(image).tolist() == [[False, True, False, True]]
+    assert foreground(image, 0.1).all()
+
+
+def test_without_radii_the_silhouette_is_the_threshold() -> None:
+    image = blob_image()
+    np.testing.assert_array_equal(silhouette_of(scene_with(image), dilate=0, erode=0, fill=0), foreground(image))
+
+
+@pytest.mark.parametrize(("dilate", "erode"), [(1, 0), (1, 1), (3, 1), (0, 1)])
+def test_the_recipe_is_threshold_dilate_erode(dilate: int, erode: int) -> None:
+    image = blob_image()
+    # OpenCV's ellipse of radius one is a cross; more steps of it would be a diamond, so only radius three differs.
+    cross = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]], np.bool_)
+    expected = foreground(image)
+    if dilate == 3:
+        v, u = np.mgrid[-3:4, -3:4]
+        # Rows of the ellipse as OpenCV rasterises it.
+        disc = np.abs(u) <= np.rint(3 * np.sqrt(1 - (v / 3) ** 2))
+        expected = binary_dilation(expected, disc)
+    elif dilate:
+        expected = binary_dilation(expected, cross)
+    if erode:
+        expected = binary_erosion(expected, cross, border_value=True)
+    np.testing.assert_array_equal(silhouette_of(scene_with(image), dilate=dilate, erode=erode, fill=0), expected)
+
+
+def test_the_silhouette_keeps_a_margin_of_the_difference_of_the_radii() -> None:
+    image = np.zeros((80, 100, 3), np.uint8)
+    image[30:50, 35:65] = 200
+    rows = np.flatnonzero(silhouette_of(scene_with(image)).any(axis=1))
+    columns = np.flatnonzero(silhouette_of(scene_with(image)).any(axis=0))
+    # Dilated by ten and eroded by seven.
+    assert (rows[0], rows[-1], columns[0], columns[-1]) == (27, 52, 32, 67)
+
+
+def test_a_dark_part_inside_the_object_is_closed() -> None:
+    image = np.zeros((80, 100, 3), np.uint8)
+    image[20:60, 20:80] = 200
+    image[36:44, 45:53] = 0  # less than the ten pixels of dilation wide
+    assert silhouette_of(scene_with(image), fill=0)[20:60, 20:80].all()
+
+
+@pytest.mark.parametrize(("fill", "filled"), [(0, False), (2, False), (6, True)])
+def test_enclosed_holes_smaller_than_a_disc_are_filled(fill: int, filled: bool) -> None:
+    image = np.full((60, 80, 3), 200, np.uint8)
+    image[25:34, 35:44] = 0  # 81 pixels, between the discs of radius 5 (78.5) and 6
+    silhouette = silhouette_of(scene_with(image), dilate=0, erode=0, fill=fill)
+    assert silhouette[25:34, 35:44].all() == filled
+    assert silhouette[25:34, 35:44].any() == filled
+    assert silhouette.sum() == 60 * 80 - (0 if filled else 81)
+
+
+def test_a_hole_at_the_border_of_the_image_is_not_filled() -> None:
+    image = np.full((60, 80, 3), 200, np.uint8)
+    for rows, columns in ((slice(0, 3), slice(9, 12)), (slice(57, 60), slice(9, 12)), (slice(9, 12), slice(77, 80))):
+        image[rows, columns] = 0
+    silhouette = silhouette_of(scene_with(image), dilate=0, erode=0)
+    assert (~silhouette).sum() == 27
+
+
+@pytest.mark.parametrize("grey", [0, 200])
+def test_an_image_of_background_or_object_alone_stays_so(grey: int) -> None:
+    assert (silhouette_of(scene_with(np.full((30, 40, 3), grey, np.uint8))) == (grey > 0)).all()
+
+
+def test_a_silhouette_that_touches_the_border_stays_attached() -> None:
+    image = np.zeros((60, 80, 3), np.uint8)
+    image[20:40, :30] = 200
+    silhouette = silhouette_of(scene_with(image))
+    assert silhouette[20:40, 0].all()
+    assert not silhouette[:, 50:].any()
+
+
+def test_only_the_named_views_get_a_silhouette() -> None:
+    views = tuple(replace(plain_view(name=name), silhouette=np.ones((30, 40), np.bool_)) for name in "abc")
+    treated = with_background_silhouettes(Scene(views, WIDE), only={"b"})
+    assert [view.silhouette is not None for view in treated.views] == [False, True, False]
+
+
+def test_the_silhouette_is_cut_to_the_projected_bounds() -> None:
+    image = np.full((60, 80, 3), 200, np.uint8)
+    scene = replace(scene_with(image), bounds=make_bounds([-1, -0.5, -0.1], [1, 0.5, 0.1]))
+    silhouette = silhouette_of(scene)
+    # The near face at depth 4.9 spans 50 / 4.9 = 10.2 pixels to each side of 39.5, and half of that up and down.
+    rows, columns = np.flatnonzero(silhouette.any(axis=1)), np.flatnonzero(silhouette.any(axis=0))
+    np.testing.assert_allclose([columns[0], columns[-1]], [39.5 - 10.2, 39.5 + 10.2], atol=1)
+    np.testing.assert_allclose([rows[0], rows[-1]], [29.5 - 5.1, 29.5 + 5.1], atol=1)
+    np.testing.assert_array_equal(silhouette, bounds_mask(scene, scene.views[0]))
+
+
+def test_every_point_of_the_bounds_projects_into_their_mask(temple: BuiltInScene) -> None:
+    rng = np.random.default_rng(0)
+    for low, high in ((0.1, 0.9), (0.35, 0.7), (0.0, 1.0)):
+        whole = temple.scene.bounds
+        extent = whole.get_extent()
+        scene = replace(
+            temple.scene, bounds=make_bounds(whole.min_bound + low * extent, whole.min_bound + high * extent)
+        )
+        for view in scene.views:
+            points = rng.uniform(scene.bounds.min_bound, scene.bounds.max_bound, (20000, 3))
+            # Half of them on a face, where the outline is.
+            points[::2, 0] = scene.bounds.max_bound[0]
+            points[::4, 2] = scene.bounds.max_bound[2]
+            u, v = np.rint(view.project(points[view.sees(points)])[0]).astype(int).T
+            assert bounds_mask(scene, view)[v, u].all()
+
+
+def test_bounds_that_reach_behind_the_camera_fill_the_mask() -> None:
+    scene = Scene((plain_view(),), make_bounds([-1, -1, -20], [1, 1, 1]))
+    assert bounds_mask(scene, scene.views[0]).all()
+
+
+@pytest.mark.parametrize("level", [0.0, 1.0, -0.2, float("nan")])
+def test_a_level_outside_zero_to_one_is_refused(level: float) -> None:
+    with pytest.raises(ValueError, match="expected a level between 0 and 1"):
+        with_background_silhouettes(scene_with(blob_image()), level=level)
+
+
+@pytest.mark.parametrize("radii", [{"dilate": -1}, {"erode": -2}, {"fill": -1}])
+def test_negative_radii_are_refused(radii: dict[str, int]) -> None:
+    with pytest.raises(ValueError, match="expected radii of 0 pixels or more"):
+        with_background_silhouettes(scene_with(blob_image()), **radii)  # type: ignore[arg-type]
+
+
+def test_silhouettes_can_be_dropped(temple: BuiltInScene) -> None:
+    assert all(view.silhouette is not None for view in temple.scene.views)
+    assert all(view.silhouette is None for view in without_silhouettes(temple.scene).views)
+
+
+@pytest.mark.parametrize("suffix", [".png", ".bmp"])
+def test_mask_files_are_read_by_the_views_names(tmp_path: Path, suffix: str) -> None:
+    rng = np.random.default_rng(0)
+    masks = {name: rng.random((30, 40)) < 0.5 for name in ("a", "b")}
+    for name, mask in masks.items():
+        write_image(tmp_path / f"{name}{suffix}", mask)
+    scene = with_mask_files(Scene((plain_view(name="b.jpg"), plain_view(name="a.jpg")), WIDE), tmp_path)
+    for view in scene.views:
+        np.testing.assert_array_equal(view.silhouette, masks[view.name[0]])
+
+
+def test_a_mask_is_white_above_the_middle_grey(tmp_path: Path) -> None:
+    mask = np.full((30, 40), 127, np.uint8)
+    mask[:, 20:] = 128
+    write_image(tmp_path / "a.png", mask)
+    silhouette = with_mask_files(Scene((plain_view(name="a.png"),), WIDE), str(tmp_path)).views[0].silhouette
+    assert silhouette is not None
+    assert not silhouette[:, :20].any()
+    assert silhouette[:, 20:].all()
+
+
+def one_view() -> Scene:
+    return Scene((plain_view(name="a.png"),), WIDE)
+
+
+def test_a_missing_mask_folder_is_an_error(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match="nowhere: expected a folder of mask images"):
+        with_mask_files(one_view(), tmp_path / "nowhere")
+
+
+def test_a_missing_mask_is_an_error(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match=r"expected one mask named a\.\* for view a\.png, found 0"):
+        with_mask_files(one_view(), tmp_path)
+
+
+def test_two_masks_for_a_view_are_an_error(tmp_path: Path) -> None:
+    for suffix in ("png", "bmp"):
+        write_image(tmp_path / f"a.{suffix}", np.ones((30, 40), np.bool_))
+    with pytest.raises(DataError, match="found 2"):
+        with_mask_files(one_view(), tmp_path)
+
+
+def test_an_unreadable_mask_is_an_error(tmp_path: Path) -> None:
+    (tmp_path / "a.png").write_text("no image")
+    with pytest.raises(DataError, match=r"a\.png: not a readable image"):
+        with_mask_files(one_view(), tmp_path)
+
+
+def test_a_mask_of_another_size_is_an_error(tmp_path: Path) -> None:
+    write_image(tmp_path / "a.png", np.ones((30, 41), np.bool_))
+    with pytest.raises(DataError, match=r"a\.png: expected 40x30 pixels like view a\.png, got 41x30"):
+        with_mask_files(one_view(), tmp_path)
+
+
+def test_the_overlay_tints_the_background_and_outlines_the_bounds() -> None:
+    silhouette = np.zeros((60, 80), np.bool_)
+    silhouette[:, :40] = True
+    image = np.full((60, 80, 3), 100, np.uint8)
+    view = replace(plain_view(width=80, height=60, name="a.png"), image=image, silhouette=silhouette)
+    scene = Scene((view,), make_bounds([-1, -1, -0.1], [1, 1, 0.1]))
+    picture = overlay(scene, view)
+    assert picture[5, 5].tolist() == [100, 100, 100]
+    assert picture[5, 75].tolist() == [50, 70, 140]
+    outline = (picture == (255, 220, 0)).all(axis=2)
+    rows, columns = np.flatnonzero(outline.any(axis=1)), np.flatnonzero(outline.any(axis=0))
+    # The near face spans 10.2 pixels to each side of (39.5, 29.5), and the outline is three pixels wide.
+    np.testing.assert_allclose([columns[0], columns[-1], rows[0], rows[-1]], [29.3, 49.7, 19.3, 39.7], atol=2)
+    assert not outline[28:32, 38:42].any()
+    assert (view.image == 100).all()
