@@ -30,7 +30,12 @@ from .io import (
 from .pipeline import Reconstruction, Settings, evaluate_files, reconstruct, save_pictures
 from .rendering import Renderer, Rendering, comparison_sheet, turntable
 from .scene import Scene, View, make_bounds
-from .silhouettes import with_background_silhouettes, with_mask_files, without_silhouettes
+from .silhouettes import (
+    with_mask_files,
+    with_segmented_silhouettes,
+    with_threshold_silhouettes,
+    without_silhouettes,
+)
 from .surface import mesh_volume, surface_points
 from .volume import CarvingVolume
 
@@ -80,8 +85,9 @@ __all__ = [
     "triangles_near",
     "turntable",
     "voxel_coloring",
-    "with_background_silhouettes",
     "with_mask_files",
+    "with_segmented_silhouettes",
+    "with_threshold_silhouettes",
     "without_silhouettes",
     "write_geometry",
     "write_middlebury",

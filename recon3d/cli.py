@@ -54,8 +54,8 @@ BoundsOption = Annotated[
 SilhouettesOption = Annotated[
     str,
     typer.Option(
-        metavar="auto|background|none|FOLDER",
-        help="Masks of the object: the scene's own or else made from the dark background; none; or a folder of masks.",
+        metavar="auto|segmented|threshold|none|FOLDER",
+        help="Masks of the object: auto takes the scene's own, or else segments the dark background.",
     ),
 ]
 UnitOption = Annotated[float, typer.Option(metavar="MM", help="Millimetres in one world unit (1000: metres).")]
@@ -137,6 +137,10 @@ def reconstruct(
     ] = None,
     voxel_size: Annotated[float | None, typer.Option(help="Voxel size in world units, instead of --voxels.")] = None,
     method: Annotated[str, typer.Option(help="Carving method.")] = "voxel-coloring",
+    method_option: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME=VALUE", help="Option of the method, such as connectivity=6; may be repeated."),
+    ] = None,
     test: Annotated[str, typer.Option(help="Photo-consistency test: fuzzy or standard-deviation.")] = "fuzzy",
     test_option: Annotated[
         list[str] | None, typer.Option(metavar="NAME=VALUE", help="Parameter of the test; may be repeated.")
@@ -148,8 +152,6 @@ def reconstruct(
         ),
     ] = "auto",
     max_views: Annotated[int | None, typer.Option(help="With --views auto: at most so many.")] = None,
-    connectivity: Annotated[int, typer.Option(help="Neighbours of the hysteresis: 6, 18 or 26.")] = 26,
-    layering: Annotated[str, typer.Option(help="slabs, or voxels: the paper's literal reading, slow.")] = "slabs",
     fill_hidden: Annotated[bool, typer.Option("--fill-hidden", help="Mesh what lies hidden, too: solid.")] = False,
     bounds: BoundsOption = None,
     silhouettes: SilhouettesOption = "auto",
@@ -168,11 +170,10 @@ def reconstruct(
         **size,
         voxel_size=voxel_size,
         method=method,
+        method_options=_keywords(method_option or []),
         test=_make_test(test, test_option or []),
         views=chosen_views,
         max_views=max_views,
-        connectivity=connectivity,  # type: ignore[arg-type] # checked by the method
-        layering=layering,  # type: ignore[arg-type]
         fill_hidden=fill_hidden,
     )
     truth = read_mesh(ground_truth) if ground_truth else None
@@ -329,17 +330,24 @@ def _make_test(name: str, options: list[str]) -> ConsistencyTest:
 
     if name not in TESTS:
         raise ValueError(f"--test: expected {' or '.join(TESTS)}, got {name!r}")
+    try:
+        return TESTS[name](**_keywords(options))
+    except TypeError as error:
+        raise ValueError(f"--test-option: {error}") from None
+
+
+def _keywords(options: list[str]) -> dict[str, Any]:
+    """Keyword arguments of NAME=VALUE options; a value that is no Python literal is text."""
     keywords = {}
     for option in options:
-        key, _, text = option.partition("=")
+        key, sign, text = option.partition("=")
+        if not sign:
+            raise ValueError(f"expected NAME=VALUE, got {option!r}")
         try:
             keywords[key] = ast.literal_eval(text)
         except (ValueError, SyntaxError):
             keywords[key] = text
-    try:
-        return TESTS[name](**keywords)
-    except TypeError as error:
-        raise ValueError(f"--test-option: {error}") from None
+    return keywords
 
 
 def _mesh_of(result: Path) -> Path:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import platform
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, is_dataclass
 from importlib.metadata import version
@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from recon3d._version import __version__
 from recon3d.carving import METHODS, PhotoHull, largest_admissible_views
-from recon3d.carving.voxel_coloring import Connectivity, Layering
 from recon3d.consistency import ConsistencyTest, FuzzyAdaptiveHysteresis
 from recon3d.errors import DataError
 from recon3d.evaluation import Evaluation, evaluate, triangles_near
@@ -42,16 +41,14 @@ class Settings:
     """Edge length in world units, instead of ``n_voxels``."""
     method: str = "voxel-coloring"
     """One of ``METHODS``."""
+    method_options: Mapping[str, Any] = field(default_factory=dict)
+    """Keywords of the method, such as ``connectivity`` and ``layering`` of ``voxel_coloring``."""
     test: ConsistencyTest = field(default_factory=FuzzyAdaptiveHysteresis)
     """Any photo-consistency test."""
     views: Literal["auto", "all"] | tuple[str, ...] = "auto"
-    """"auto": the largest subset that the method admits; "all"; or names."""
+    """"auto": all, or the largest subset that a one-sided method admits; "all"; or names, with wildcards."""
     max_views: int | None = None
     """With "auto": use at most so many; the paper uses 8."""
-    connectivity: Connectivity = 26
-    """Neighbours that carry a candidate of the hysteresis: 6, 18 or 26."""
-    layering: Layering = "slabs"
-    """How voxels are visited; "voxels" is the paper's literal, slow reading."""
     fill_hidden: bool = False
     """Mesh the accepted voxels together with those hidden behind them: solid for printing, but partly guessed."""
     smoothing: int = 5
@@ -75,7 +72,11 @@ class Settings:
         fields: dict[str, Any] = (
             asdict(self.test) if is_dataclass(self.test) and not isinstance(self.test, type) else {}
         )
-        return {**plain, "test": {"class": type(self.test).__qualname__, **fields}}
+        return {
+            **plain,
+            "method_options": dict(self.method_options),
+            "test": {"class": type(self.test).__qualname__, **fields},
+        }
 
 
 @dataclass(frozen=True, repr=False)
@@ -188,13 +189,12 @@ def reconstruct(
         scene = choose_views(scene, settings)
     with _timed(timings, "carving"):
         volume = CarvingVolume.enclosing(scene.bounds, voxel_size=settings.voxel_size, n_voxels=settings.n_voxels)
-        hull = METHODS[settings.method](
+        hull = METHODS[settings.method].carve(
             scene,
             volume,
             settings.test,
-            connectivity=settings.connectivity,
-            layering=settings.layering,
             progress=lambda done, total: report("carving", done, total),
+            **settings.method_options,
         )
     with _timed(timings, "surface"):
         report("surface", 0, 2)
@@ -246,7 +246,7 @@ def evaluate_files(
 
 def choose_views(scene: Scene, settings: Settings) -> Scene:
     """The scene with the views that the settings ask for."""
-    if settings.views == "all":
+    if settings.views == "all" or (settings.views == "auto" and not METHODS[settings.method].one_sided):
         return scene
     if settings.views == "auto":
         return scene.subset(largest_admissible_views(scene, limit=settings.max_views))

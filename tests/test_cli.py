@@ -95,7 +95,7 @@ def test_a_test_and_its_options_are_chosen_by_name(photographs: Path, tmp_path: 
         (["reconstruct", "PHOTOGRAPHS", "--test-option", "colour=3"], "--test-option: "),
         (["reconstruct", "PHOTOGRAPHS", "--voxel-size", "1e-7"], "a voxel size of"),
         (["reconstruct", "PHOTOGRAPHS", "--bounds", "1,2,3"], "--bounds: expected six numbers"),
-        (["reconstruct", "PHOTOGRAPHS", "--connectivity", "7"], "expected connectivity 6, 18 or 26"),
+        (["reconstruct", "PHOTOGRAPHS", "--method-option", "connectivity=7"], "expected connectivity 6, 18 or 26"),
         (["reconstruct", "PHOTOGRAPHS", "--views", "view99.png"], "has no view view99.png"),
         (["evaluate", "nowhere.ply", "nowhere.ply"], "nowhere.ply: no such file"),
         (["render", "nowhere.ply"], "nowhere.ply: no such file"),

@@ -1,16 +1,29 @@
 """Carving algorithms by name; each takes a scene, a volume and a photo-consistency test and returns a photo hull."""
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 from recon3d.carving.photo_hull import Label, PhotoHull
 from recon3d.carving.visibility import SweepDirection, largest_admissible_views, sweep_direction
 from recon3d.carving.voxel_coloring import voxel_coloring
 
-METHODS: dict[str, Callable[..., PhotoHull]] = {"voxel-coloring": voxel_coloring}
+
+class Method(NamedTuple):
+    """A carving algorithm: ``carve(scene, volume, test=None, *, progress=None, **options)``."""
+
+    carve: Callable[..., PhotoHull]
+    one_sided: bool = False
+    """Whether the views must satisfy the ordinal visibility constraint."""
+
+
+METHODS: dict[str, Method] = {
+    "voxel-coloring": Method(voxel_coloring, one_sided=True),
+}
 
 __all__ = [
     "METHODS",
     "Label",
+    "Method",
     "PhotoHull",
     "SweepDirection",
     "largest_admissible_views",

@@ -17,7 +17,13 @@ from numpy.typing import NDArray
 from recon3d.errors import DataError, SceneError
 from recon3d.io.files import read_image, write_image, write_text
 from recon3d.scene import Scene, View, bounds_corners, check_extrinsics, check_intrinsics, make_bounds
-from recon3d.silhouettes import bounds_mask, foreground, with_background_silhouettes, with_mask_files
+from recon3d.silhouettes import (
+    bounds_mask,
+    foreground,
+    with_mask_files,
+    with_segmented_silhouettes,
+    with_threshold_silhouettes,
+)
 
 PADDING = 0.01
 """Fraction of the longest side added around a README's box, which is tight to about a millimetre."""
@@ -45,9 +51,9 @@ def read_middlebury(
     Parameters
     ----------
     bounds : the object's box in this set's own world frame; the README's, padded, when None.
-    silhouettes : "auto": the folder ``silhouettes`` where there is one, else made from the dark background, of the
-        views that ``*_good_silhouette_images.txt`` lists or of all; "background": always made; "none"; or a folder of
-        masks.
+    silhouettes : "auto": the folder ``silhouettes`` where there is one, else "segmented"; "segmented" or "threshold":
+        made from the dark background, by GrabCut or by the recipe of dinoSparseRing's README, of the views that
+        ``*_good_silhouette_images.txt`` lists or of all; "none"; or a folder of masks.
     mm_per_unit : 1000 for Middlebury's own sets, which are in metres.
 
     Raises
@@ -69,8 +75,10 @@ def read_middlebury(
         return scene
     if silhouettes == "auto" and own_masks.is_dir():
         return with_mask_files(scene, own_masks)
-    if silhouettes in ("auto", "background"):
-        return with_background_silhouettes(scene, only=_good_silhouettes(folder, scene))
+    if silhouettes == "threshold":
+        return with_threshold_silhouettes(scene, only=_good_silhouettes(folder, scene))
+    if silhouettes in ("auto", "segmented"):
+        return with_segmented_silhouettes(scene, only=_good_silhouettes(folder, scene))
     return with_mask_files(scene, silhouettes)
 
 
