@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, is_dataclass
 from importlib.metadata import version
+from inspect import Parameter, signature
 from pathlib import Path
 from time import perf_counter
 from typing import Any, Literal
@@ -59,6 +60,11 @@ class Settings:
             object.__setattr__(self, "n_voxels", None)
         if self.method not in METHODS:
             raise ValueError(f"expected method {' or '.join(METHODS)}, got {self.method!r}")
+        known = [name for name, kind in signature(METHODS[self.method].carve).parameters.items()
+                 if kind.kind is Parameter.KEYWORD_ONLY and name != "progress"]  # fmt: skip
+        unknown = [name for name in self.method_options if name not in known]
+        if unknown:
+            raise ValueError(f"{self.method} has no option {', '.join(unknown)}; it has {', '.join(known)}")
         if isinstance(self.views, str) and self.views not in ("auto", "all"):
             raise ValueError(f"expected views 'auto', 'all' or a tuple of names, got {self.views!r}")
         if self.max_views is not None and self.max_views < 1:

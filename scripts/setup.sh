@@ -57,8 +57,8 @@ find_python() { # sets python
 
 # Debian packages of what Open3D, numba and the making of .venv need and this Python does not find.
 missing_packages() {
-    "$python" - <<'PYTHON'
-import ctypes, importlib.util, os, sys
+    "$python" - "$venv" <<'PYTHON'
+import ctypes, importlib.util, sys
 
 libraries = {
     "libEGL.so.1": "libegl1",
@@ -75,7 +75,7 @@ for library, package in libraries.items() if sys.platform == "linux" else ():
         ctypes.CDLL(library)
     except OSError:
         print(package)
-if importlib.util.find_spec("ensurepip") is None:
+if sys.prefix != sys.argv[1] and importlib.util.find_spec("ensurepip") is None:
     print("python%d.%d-venv" % sys.version_info[:2])
 PYTHON
 }

@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 from scenes import ball_mesh, ball_volume, box_mesh, full_volume
 
-from recon3d.evaluation import Evaluation, distance_to_mesh, evaluate, sample_surface, triangles_near
+from recon3d.evaluation import MEASURED_SHARE, Evaluation, distance_to_mesh, evaluate, sample_surface, triangles_near
 
 
 def plate(size: float = 1.0, height: float = 0.0) -> o3d.geometry.TriangleMesh:
@@ -117,8 +117,9 @@ def test_identical_shapes_are_as_near_as_their_samples() -> None:
 def test_spacing_is_a_thousandth_of_the_diagonal_unless_given() -> None:
     result = evaluate(plate(), plate(), mm_per_unit=1.0)
     # An area of one over the square of 0.001 * sqrt(2).
-    assert len(result.completeness_distances) == 500_000
-    assert len(evaluate(plate(), plate(), spacing=0.1).accuracy_distances) == 100
+    # Every fourth sample of a mesh is measured.
+    assert len(result.completeness_distances) == 500_000 / MEASURED_SHARE
+    assert len(evaluate(plate(), plate(), spacing=0.1).accuracy_distances) == 100 / MEASURED_SHARE
 
 
 DISTANCES = np.arange(1.0, 11.0)  # ten distances, 1 to 10 mm
@@ -171,7 +172,7 @@ def test_filler_is_neither_asked_for_nor_held_against_the_reconstruction() -> No
     result = evaluate(reconstruction, truth, real=real, mm_per_unit=1.0, completeness_threshold_mm=0.1, spacing=0.02)
     assert result.completeness_percent == 100.0
     assert result.accuracy_mm < 0.05
-    assert result.left_out == 2500  # the samples of the wrong plate
+    assert result.left_out == 2500 / MEASURED_SHARE  # the samples of the wrong plate
     strict = evaluate(reconstruction, truth, mm_per_unit=1.0, completeness_threshold_mm=0.1, spacing=0.02)
     assert strict.accuracy_mm == pytest.approx(0.2, abs=0.01)
     assert strict.completeness_percent == pytest.approx(50, abs=0.1)
@@ -186,7 +187,11 @@ def test_triangles_near_data_are_the_real_ones() -> None:
 def test_a_point_cloud_may_be_the_truth_and_have_filler() -> None:
     points = np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0]])
     result = evaluate(
-        cloud(points + [0, 0.1, 0]), cloud(points), real=np.array([True, True, False]), mm_per_unit=1.0, spacing=1.0
+        cloud(points + np.array([0, 0.1, 0])),
+        cloud(points),
+        real=np.array([True, True, False]),
+        mm_per_unit=1.0,
+        spacing=1.0,
     )
     np.testing.assert_allclose(result.accuracy_distances, [0.1, 0.1])
     np.testing.assert_allclose(result.completeness_distances, [0.1, 0.1])

@@ -73,7 +73,7 @@ def test_the_readmes_box_is_padded_by_a_hundredth_of_its_longest_side(folder: Pa
 
 def test_bounds_that_are_given_are_taken_as_they_are(folder: Path) -> None:
     (folder / "README.txt").unlink()
-    bounds = make_bounds([-1.3, -1.3, -1.3], [1.3, 1.3, 1.3])
+    bounds = make_bounds([-1.1, -1.1, -1.1], [1.15, 1.1, 1.1])
     scene = read_middlebury(folder, bounds=bounds, mm_per_unit=10.0)
     np.testing.assert_array_equal(scene.bounds.min_bound, bounds.min_bound)
     assert scene.mm_per_unit == 10.0
@@ -168,7 +168,7 @@ def test_a_folder_of_masks_is_used_when_it_lies_beside_or_is_named(folder: Path)
     for where, options in choices.items():
         for n, view in enumerate(read_middlebury(folder, **options).views):  # type: ignore[arg-type]
             np.testing.assert_array_equal(view.silhouette, masks[where, n])
-    background = read_middlebury(folder, silhouettes="background").views[0].silhouette
+    background = read_middlebury(folder, silhouettes="threshold").views[0].silhouette
     assert background is not None
     assert (background != masks["silhouettes", 0]).any()
 
@@ -283,10 +283,10 @@ def test_a_box_that_leaves_most_images_is_an_error(folder: Path) -> None:
 
 def test_a_box_that_cuts_the_object_off_is_refused_in_a_readme_and_warned_of_when_given(folder: Path) -> None:
     shifted = make_bounds([0, 0, -0.5], [1, 1, 0.5])
-    with pytest.warns(UserWarning, match="the bounding box holds only .*% of the bright pixels"):
+    with pytest.warns(UserWarning, match=r"the bounding box holds only .*% of the bright pixels"):
         read_middlebury(folder, bounds=shifted)
     (folder / "README.txt").write_text(README.format(low="(0 0 -0.5)", high="(1 1 0.5)"))
-    with pytest.raises(SceneError, match="the bounding box holds only .*% of the bright pixels"):
+    with pytest.raises(SceneError, match=r"the bounding box holds only .*% of the bright pixels"):
         read_middlebury(folder)
 
 
@@ -349,16 +349,25 @@ def test_real_sets_are_read(real_data: Path, name: str, n_views: int, good: int)
     assert all((view.width, view.height) == (640, 480) for view in scene.views)
     assert sum(view.silhouette is not None for view in scene.views) == good
     assert len(read_angles(real_data / name)) == n_views
-    assert (scene.corners_in_views() >= 4).all()
+    # The dinosaur's box leaves some images.
+    assert np.median(scene.corners_in_views()) >= 4
     # Published: the temple is 159.6 mm tall; a pixel covers a third of a millimetre or less.
     assert 0.1 < scene.pixel_footprint * scene.mm_per_unit < 0.5
 
 
-def test_another_real_sets_box_is_refused_or_warned_of(real_data: Path) -> None:
-    with pytest.warns(UserWarning, match="is this another set's box"):
+def test_another_real_sets_box_is_refused_even_when_given(real_data: Path) -> None:
+    with pytest.raises(SceneError, match="is this another set's box"):
         read_middlebury(real_data / "templeSparseRing", bounds=read_bounds(real_data / "templeRing"))
     with pytest.raises(SceneError, match="is this another set's box"):
         read_middlebury(real_data / "dinoSparseRing", bounds=make_bounds([-0.4, -0.4, -0.4], [0.4, 0.4, 0.4]))
+
+
+def test_half_of_a_real_sets_box_is_warned_of_when_given(real_data: Path) -> None:
+    whole = read_bounds(real_data / "templeSparseRing")
+    half = make_bounds(whole.min_bound, whole.max_bound - [0, whole.get_extent()[1] / 2, 0])
+    with pytest.warns(UserWarning, match=r"holds only .*% of the bright pixels"):
+        scene = read_middlebury(real_data / "templeSparseRing", bounds=half)
+    np.testing.assert_array_equal(scene.bounds.max_bound, half.max_bound)
 
 
 def test_one_real_set_with_another_ones_readme_is_refused(real_data: Path, tmp_path: Path) -> None:

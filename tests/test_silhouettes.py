@@ -17,7 +17,7 @@ from recon3d.silhouettes import (
     bounds_mask,
     foreground,
     overlay,
-    with_background_silhouettes,
+    with_threshold_silhouettes,
     with_mask_files,
     without_silhouettes,
 )
@@ -41,7 +41,7 @@ def blob_image() -> NDArray[np.uint8]:
 
 
 def silhouette_of(scene: Scene, **options: float) -> NDArray[np.bool_]:
-    silhouette = with_background_silhouettes(scene, **options).views[0].silhouette  # type: ignore[arg-type]
+    silhouette = with_threshold_silhouettes(scene, **options).views[0].silhouette  # type: ignore[arg-type]
     assert silhouette is not None
     return silhouette
 
@@ -125,7 +125,7 @@ def test_a_silhouette_that_touches_the_border_stays_attached() -> None:
 
 def test_only_the_named_views_get_a_silhouette() -> None:
     views = tuple(replace(plain_view(name=name), silhouette=np.ones((30, 40), np.bool_)) for name in "abc")
-    treated = with_background_silhouettes(Scene(views, WIDE), only={"b"})
+    treated = with_threshold_silhouettes(Scene(views, WIDE), only={"b"})
     assert [view.silhouette is not None for view in treated.views] == [False, True, False]
 
 
@@ -165,13 +165,13 @@ def test_bounds_that_reach_behind_the_camera_fill_the_mask() -> None:
 @pytest.mark.parametrize("level", [0.0, 1.0, -0.2, float("nan")])
 def test_a_level_outside_zero_to_one_is_refused(level: float) -> None:
     with pytest.raises(ValueError, match="expected a level between 0 and 1"):
-        with_background_silhouettes(scene_with(blob_image()), level=level)
+        with_threshold_silhouettes(scene_with(blob_image()), level=level)
 
 
 @pytest.mark.parametrize("radii", [{"dilate": -1}, {"erode": -2}, {"fill": -1}])
 def test_negative_radii_are_refused(radii: dict[str, int]) -> None:
     with pytest.raises(ValueError, match="expected radii of 0 pixels or more"):
-        with_background_silhouettes(scene_with(blob_image()), **radii)  # type: ignore[arg-type]
+        with_threshold_silhouettes(scene_with(blob_image()), **radii)  # type: ignore[arg-type]
 
 
 def test_silhouettes_can_be_dropped(temple: BuiltInScene) -> None:

@@ -406,11 +406,11 @@ def test_a_test_that_judges_another_number_of_voxels_is_refused() -> None:
 def test_another_test_gives_another_hull() -> None:
     scene = world("ball")
     volume = CarvingVolume.enclosing(scene.bounds, n_voxels=1500)
-    strict, loose = (voxel_coloring(scene, volume, StandardDeviation(threshold=t)) for t in (15.0, 60.0))
+    strict, loose = (voxel_coloring(scene, volume, StandardDeviation(threshold=t)) for t in (8.0, 60.0))
     assert (strict.labels != loose.labels).any()
     # The degree is kept in single precision.
-    assert np.nanmin(strict.degree[strict.volume.occupied]) >= 1 - 15 / 127.5 - 1e-6
-    assert np.nanmax(strict.degree[strict.labels == Label.INCONSISTENT]) < 1 - 15 / 127.5 + 1e-6
+    assert np.nanmin(strict.degree[strict.volume.occupied]) >= 1 - 8 / 127.5 - 1e-6
+    assert np.nanmax(strict.degree[strict.labels == Label.INCONSISTENT]) < 1 - 8 / 127.5 + 1e-6
 
 
 def test_cameras_all_around_are_refused_by_name() -> None:
