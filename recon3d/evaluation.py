@@ -133,9 +133,13 @@ def evaluate(
         raise ValueError(f"expected an accuracy percentage in (0, 100], got {accuracy_percent}")
     if not (completeness_threshold_mm > 0 and mm_per_unit > 0):
         raise ValueError("expected a positive completeness threshold and mm_per_unit")
+    if ground_truth.is_empty():
+        raise ValueError(f"the {type(ground_truth).__name__} to evaluate against is empty")
     if spacing is None:
         diagonal = np.linalg.norm(ground_truth.get_max_bound() - ground_truth.get_min_bound())
         spacing = float(diagonal) / SAMPLES_PER_DIAGONAL
+    if not 0 < spacing < np.inf:
+        raise ValueError(f"expected a positive spacing of the samples, got {spacing}")
     rng = np.random.default_rng(seed)
     samples_g, owner_g = sample_surface(ground_truth, spacing, rng)
     samples_r, _ = sample_surface(reconstruction, spacing, rng)

@@ -51,7 +51,7 @@ class Settings:
     max_views: int | None = None
     """With "auto": use at most so many; the paper uses 8."""
     fill_hidden: bool = False
-    """Mesh the accepted voxels together with those hidden behind them: solid for printing, but partly guessed."""
+    """With a one-sided method, mesh what lies hidden behind the accepted voxels, too: solid, but partly guessed."""
     smoothing: int = 5
     """Pairs of Taubin steps on the mesh; 0: none."""
 
@@ -206,8 +206,13 @@ def reconstruct(
         report("surface", 0, 2)
         points = surface_points(hull.volume, solid=hull.solid)
         report("surface", 1, 2)
-        shape = hull.solid if settings.fill_hidden else hull.volume
-        mesh = mesh_volume(shape, colors_from=hull.volume, smoothing=settings.smoothing)
+        shell = METHODS[settings.method].one_sided and not settings.fill_hidden
+        mesh = mesh_volume(
+            hull.volume if shell else hull.solid,
+            colors_from=hull.volume,
+            distance=hull.distance,
+            smoothing=settings.smoothing,
+        )
         report("surface", 2, 2)
     evaluation = None
     if ground_truth is not None:

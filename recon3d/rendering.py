@@ -126,7 +126,7 @@ def turntable(
 ) -> NDArray[np.uint8]:
     """RGB strip of the mesh seen from all around, about the axis that the cameras stand around."""
     up = up_direction(scene)
-    center = renderer.mesh.get_center()
+    center = renderer.mesh.get_axis_aligned_bounding_box().get_center()
     radius = float(np.linalg.norm(renderer.mesh.get_max_bound() - renderer.mesh.get_min_bound())) / 2
     pictures = [
         renderer.render(*camera, 2 * size, 2 * size).picture(mode)

@@ -34,7 +34,7 @@ def bounds_mask(scene: Scene, view: View) -> NDArray[np.bool_]:
     mask = np.zeros((view.height, view.width), np.uint8)
     outline = cv2.convexHull(pixels.astype(np.float32)).round().astype(np.int32)
     cv2.fillConvexPoly(mask, outline, 1)
-    return mask.astype(np.bool_)
+    return cv2.dilate(mask, _disc(1)) > 0  # rounding the corners may have cut up to a pixel off
 
 
 def with_threshold_silhouettes(
@@ -130,8 +130,12 @@ def _grab_cut(view: View, level: float, within: NDArray[np.bool_]) -> NDArray[np
     return _without_small_holes(mask, np.pi * _HOLE**2)
 
 
-def with_mask_files(scene: Scene, folder: Path | str) -> Scene:
+def with_mask_files(scene: Scene, folder: Path | str, *, only: Collection[str] | None = None) -> Scene:
     """Scene with silhouettes read from ``folder/<view name>``, white for object, any extension, one for each view.
+
+    Parameters
+    ----------
+    only : names of the views that have one; the others get none. All when None.
 
     Raises
     ------
@@ -156,7 +160,13 @@ def with_mask_files(scene: Scene, folder: Path | str) -> Scene:
             )
         return np.asarray(mask > 127)
 
-    return replace(scene, views=tuple(replace(view, silhouette=silhouette(view)) for view in scene.views))
+    return replace(
+        scene,
+        views=tuple(
+            replace(view, silhouette=silhouette(view) if only is None or view.name in only else None)
+            for view in scene.views
+        ),
+    )
 
 
 def without_silhouettes(scene: Scene) -> Scene:

@@ -17,7 +17,11 @@ _INNER = (slice(_PADDING, -_PADDING),) * 3
 
 
 def mesh_volume(
-    volume: CarvingVolume, *, colors_from: CarvingVolume | None = None, smoothing: int = 5
+    volume: CarvingVolume,
+    *,
+    colors_from: CarvingVolume | None = None,
+    distance: NDArray[np.float32] | None = None,
+    smoothing: int = 5,
 ) -> o3d.geometry.TriangleMesh:
     """Smooth closed mesh of the occupied voxels, coloured at its vertices, normals outwards.
 
@@ -27,6 +31,8 @@ def mesh_volume(
     Parameters
     ----------
     colors_from : volume whose occupied voxels lend their colours; the volume itself when None.
+    distance : (nx, ny, nz) signed distance of voxel centres to a surface that holds the volume, world units, positive
+        inside. The mesh follows it to a fraction of a voxel where no more was carved.
     smoothing : pairs of Taubin steps; 0 keeps the marching cubes' facets.
 
     References
@@ -38,6 +44,11 @@ def mesh_volume(
     padded = np.pad(volume.occupied, _PADDING).astype(np.float32)
     # In (0.5, 1] where occupied and [0, 0.5) elsewhere; without ties marching cubes gives manifold edges.
     field = 0.5 * padded + np.clip(0.5 * gaussian_filter(padded, 1.0), 1e-3, 0.5 - 1e-3)
+    if distance is not None:
+        inside = np.pad(np.clip(distance / volume.voxel_size, -0.5, 0.5) + 0.5, _PADDING)
+        carved = (inside > 0.5) & (padded == 0)
+        near = gaussian_filter(carved.astype(np.float32), 1.0) > 1e-3 if carved.any() else carved
+        field = np.where(near, np.minimum(field, inside), inside)
     vertices, faces, _, _ = marching_cubes(field, 0.5, gradient_direction="ascent")
     # A voxel's index is its centre in marching cubes, its lowest corner in a volume.
     points = volume.origin + (vertices - _PADDING + 0.5) * volume.voxel_size

@@ -111,7 +111,7 @@ class CarvingVolume(Summarised):
         points.colors = o3d.utility.Vector3dVector(self.colors[self.occupied] / 255.0)
         # Only this constructor keeps the origin; it wants an upper bound beyond the last voxel.
         return o3d.geometry.VoxelGrid.create_from_point_cloud_within_bounds(
-            points, self.voxel_size, self.origin, self.origin + self.voxel_size * np.array(self.shape)
+            points, self.voxel_size, self.bounds.min_bound, self.bounds.max_bound
         )
 
     @property
@@ -119,6 +119,11 @@ class CarvingVolume(Summarised):
         """(nx, ny, nz)."""
         nx, ny, nz = self.occupied.shape
         return nx, ny, nz
+
+    @property
+    def bounds(self) -> o3d.geometry.AxisAlignedBoundingBox:
+        """Box of the whole lattice, world units."""
+        return o3d.geometry.AxisAlignedBoundingBox(self.origin, self.origin + self.voxel_size * np.array(self.shape))
 
     @property
     def n_occupied(self) -> int:

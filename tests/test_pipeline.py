@@ -108,7 +108,7 @@ def test_views_are_chosen_by_the_constraint_by_name_or_all(temple: recon3d.Built
 
 def test_bad_settings_are_refused() -> None:
     for bad, message in (
-        ({"method": "magic"}, "expected method voxel-coloring"),
+        ({"method": "magic"}, "expected method visual-hull or"),
         ({"views": "some"}, "expected views"),
         ({"max_views": 0}, "max_views"),
         ({"smoothing": -1}, "smoothing"),

@@ -202,7 +202,7 @@ def test_no_admissible_view_is_an_error() -> None:
 def test_the_error_names_the_views_to_leave_out() -> None:
     scene = scene_from(np.array([[4.0, 0, 0], [4.0, 0.8, 0], [-4.0, 0, 0], [4.0, -0.8, 0.1]]))
     with pytest.raises(VisibilityError, match=r"3 of 4 views can be used together; leave out v2,") as caught:
-        require_sweep_direction(scene)
+        require_sweep_direction(scene, scene.bounds)
     assert "v0" not in str(caught.value)
-    usable = require_sweep_direction(scene.subset(["v0", "v1", "v3"]))
+    usable = require_sweep_direction(scene.subset(["v0", "v1", "v3"]), scene.bounds)
     assert usable.direction[0] < -0.9

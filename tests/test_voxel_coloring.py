@@ -79,8 +79,8 @@ def signed_distance(mesh: o3d.geometry.TriangleMesh, points: NDArray[np.float64]
     return scene.compute_signed_distance(points.astype(np.float32)).numpy().astype(np.float64)
 
 
-def direction_of(scene: Scene) -> NDArray[np.float64]:
-    found = sweep_direction(scene.centers, bounds_corners(scene.bounds))
+def direction_of(scene: Scene, volume: CarvingVolume) -> NDArray[np.float64]:
+    found = sweep_direction(scene.centers, bounds_corners(volume.bounds))
     assert found is not None
     return found.direction
 
@@ -112,7 +112,7 @@ def test_the_engine_agrees_with_the_voxel_by_voxel_reference(name: str, layering
     scene = world(name)
     volume = CarvingVolume.enclosing(scene.bounds, n_voxels=1500)
     hull = voxel_coloring(scene, volume, layering=layering)
-    assert_agree(hull, color_voxels(scene, volume, direction_of(scene), layering=layering))
+    assert_agree(hull, color_voxels(scene, volume, direction_of(scene, volume), layering=layering))
     counts = hull.counts()
     assert counts["consistent"] > 20
     assert counts["hidden"] > 20
@@ -124,7 +124,7 @@ def test_every_connectivity_agrees_with_the_reference(connectivity: int, layerin
     scene = world("grainy planes")
     volume = CarvingVolume.enclosing(scene.bounds, n_voxels=1500)
     hull = voxel_coloring(scene, volume, connectivity=connectivity, layering=layering)
-    expected = color_voxels(scene, volume, direction_of(scene), connectivity=connectivity, layering=layering)
+    expected = color_voxels(scene, volume, direction_of(scene, volume), connectivity=connectivity, layering=layering)
     assert_agree(hull, expected)
 
 
@@ -140,7 +140,7 @@ def test_intensity_by_channels_agrees_with_the_reference(name: str) -> None:
     scene = world(name)
     volume = CarvingVolume.enclosing(scene.bounds, n_voxels=1500)
     hull = voxel_coloring(scene, volume, FuzzyAdaptiveHysteresis(intensity="channels"))
-    assert_agree(hull, color_voxels(scene, volume, direction_of(scene), intensity="channels"))
+    assert_agree(hull, color_voxels(scene, volume, direction_of(scene, volume), intensity="channels"))
 
 
 def test_voxels_smaller_than_a_pixel_agree_with_the_reference() -> None:
@@ -149,7 +149,7 @@ def test_voxels_smaller_than_a_pixel_agree_with_the_reference() -> None:
     bounds = make_bounds([0.31, -0.42, 0.1], [1.03, 0.33, 0.61])
     volume = CarvingVolume.enclosing(bounds, voxel_size=0.059)
     scene = replace(scene, bounds=bounds)
-    assert_agree(voxel_coloring(scene, volume), color_voxels(scene, volume, direction_of(scene)))
+    assert_agree(voxel_coloring(scene, volume), color_voxels(scene, volume, direction_of(scene, volume)))
 
 
 def test_only_the_occupied_voxels_of_the_volume_are_visited() -> None:
@@ -158,7 +158,7 @@ def test_only_the_occupied_voxels_of_the_volume_are_visited() -> None:
     kept = np.random.default_rng(0).random(volume.shape) < 0.6
     volume = volume.with_occupancy(kept)
     hull = voxel_coloring(scene, volume)
-    assert_agree(hull, color_voxels(scene, volume, direction_of(scene)))
+    assert_agree(hull, color_voxels(scene, volume, direction_of(scene, volume)))
     assert (hull.labels[~kept] == Label.UNSEEN).all()
 
 

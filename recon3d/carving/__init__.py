@@ -3,8 +3,10 @@
 from collections.abc import Callable
 from typing import NamedTuple
 
+from recon3d.carving.generalized import generalized_voxel_coloring
 from recon3d.carving.photo_hull import Label, PhotoHull
 from recon3d.carving.visibility import SweepDirection, largest_admissible_views, sweep_direction
+from recon3d.carving.visual_hull import visual_hull
 from recon3d.carving.voxel_coloring import voxel_coloring
 
 
@@ -17,6 +19,8 @@ class Method(NamedTuple):
 
 
 METHODS: dict[str, Method] = {
+    "visual-hull": Method(visual_hull),
+    "generalized-voxel-coloring": Method(generalized_voxel_coloring),
     "voxel-coloring": Method(voxel_coloring, one_sided=True),
 }
 
@@ -26,7 +30,9 @@ __all__ = [
     "Method",
     "PhotoHull",
     "SweepDirection",
+    "generalized_voxel_coloring",
     "largest_admissible_views",
     "sweep_direction",
+    "visual_hull",
     "voxel_coloring",
 ]

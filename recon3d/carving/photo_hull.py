@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
 
@@ -10,6 +11,9 @@ from numpy.typing import NDArray
 
 from recon3d.html import Summarised
 from recon3d.volume import CarvingVolume
+
+Progress = Callable[[int, int], None]
+"""Called with the steps that are done and how many there are."""
 
 
 class Label(IntEnum):
@@ -39,9 +43,11 @@ class PhotoHull(Summarised):
     """(nx, ny, nz) degree of photo-consistency in [0, 1]; NaN where the test was not asked."""
     n_views: NDArray[np.uint16]
     """(nx, ny, nz) N(v), views that saw the voxel when it was judged."""
+    distance: NDArray[np.float32] | None = None
+    """(nx, ny, nz) signed distance of voxel centres to the visual hull, world units, positive inside; if known."""
 
     @classmethod
-    def untouched(cls, volume: CarvingVolume) -> PhotoHull:
+    def untouched(cls, volume: CarvingVolume, distance: NDArray[np.float32] | None = None) -> PhotoHull:
         """Nothing judged and nothing accepted yet, on the lattice of a volume."""
         shape = volume.shape
         return cls(
@@ -51,6 +57,7 @@ class PhotoHull(Summarised):
             labels=np.full(shape, Label.UNSEEN, np.uint8),
             degree=np.full(shape, np.nan, np.float32),
             n_views=np.zeros(shape, np.uint16),
+            distance=distance,
         )
 
     @property

@@ -25,6 +25,9 @@ class ViewArrays:
         for n, view in enumerate(views):
             self.images[n, : view.height, : view.width] = view.image
             self.free[n, : view.height, : view.width] = True if view.silhouette is None else view.silhouette
+        self.foreground = self.free.copy()
+        self.centers = np.stack([view.center for view in views])
+        self.world_from_pixel = np.stack([view.cam_from_world[:3, :3].T @ np.linalg.inv(view.K) for view in views])
         self.integrals = np.stack([cv2.integral(mask.astype(np.uint8)) for mask in self.free])
 
     def carve_background(self, occupied: NDArray[np.bool_], volume: CarvingVolume) -> None:

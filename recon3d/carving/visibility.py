@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+import open3d as o3d
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
@@ -88,11 +89,11 @@ def largest_admissible_views(scene: Scene, limit: int | None = None) -> list[str
     return [scene.views[n].name for n in chosen]
 
 
-def require_sweep_direction(scene: Scene) -> SweepDirection:
-    """Sweep direction of a scene, or an error that names the views to leave out."""
-    found = sweep_direction(scene.centers, bounds_corners(scene.bounds))
+def require_sweep_direction(scene: Scene, bounds: o3d.geometry.AxisAlignedBoundingBox) -> SweepDirection:
+    """Sweep direction of a scene's cameras into a box, or an error that names the views to leave out."""
+    found = sweep_direction(scene.centers, bounds_corners(bounds))
     if found is None:
-        kept = largest_admissible_views(scene)
+        kept = largest_admissible_views(replace(scene, bounds=bounds))
         offending = [view.name for view in scene.views if view.name not in kept]
         raise VisibilityError(
             f"scene {scene.name}: the cameras do not lie on one side of a plane (ordinal visibility constraint). "

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from itertools import product
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from recon3d.carving.photo_hull import Label, PhotoHull
+from recon3d.carving.photo_hull import Label, PhotoHull, Progress
 from recon3d.carving.views import ViewArrays
 from recon3d.carving.visibility import require_sweep_direction
 from recon3d.consistency import ConsistencyTest, FuzzyAdaptiveHysteresis
@@ -22,7 +22,6 @@ from recon3d.volume import CarvingVolume
 
 Connectivity = Literal[6, 18, 26]
 Layering = Literal["slabs", "voxels"]
-Progress = Callable[[int, int], None]
 
 _CANDIDATE = 255  # only while a layer is being resolved
 
@@ -71,7 +70,7 @@ def voxel_coloring(
     """
     test = FuzzyAdaptiveHysteresis() if test is None else test
     offsets = neighbour_offsets(connectivity)
-    direction = require_sweep_direction(scene).direction
+    direction = require_sweep_direction(scene, volume.bounds).direction
     views = ViewArrays(scene)
 
     hull = PhotoHull.untouched(volume)
@@ -121,7 +120,8 @@ def near_to_far(
     voxels = np.argwhere(occupied)
     if not len(voxels):
         return
-    depth = voxels @ direction
+    # In voxels; rounded, so that a lattice plane along an axis is one layer whatever the last bit says.
+    depth = np.round(voxels @ direction, 6)
     key = np.floor(depth - depth.min()).astype(np.int32) if layering == "slabs" else depth
     order = np.argsort(key, kind="stable")
     boundaries = np.flatnonzero(np.diff(key[order])) + 1 if layering == "slabs" else np.arange(1, len(order))

@@ -67,7 +67,7 @@ def little_temple(
     if n_views < 1 or width < 8 or height < 8 or supersampling < 1 or noise < 0 or light_change < 0:
         raise ValueError("expected n_views >= 1, images of 8x8 pixels or more, supersampling >= 1, no negative noise")
     ground_truth = temple_mesh()
-    center = ground_truth.get_center()
+    center = ground_truth.get_axis_aligned_bounding_box().get_center()
     cameras = ring(center, n_views=n_views, distance=0.6, width=width, height=height, focal=2.35 * width)
     low, high = ground_truth.get_min_bound(), ground_truth.get_max_bound()
     pad = 0.02 * (high - low).max()

@@ -74,7 +74,7 @@ def read_middlebury(
     if silhouettes == "none":
         return scene
     if silhouettes == "auto" and own_masks.is_dir():
-        return with_mask_files(scene, own_masks)
+        return with_mask_files(scene, own_masks, only=_good_silhouettes(folder, scene))
     if silhouettes == "threshold":
         return with_threshold_silhouettes(scene, only=_good_silhouettes(folder, scene))
     if silhouettes in ("auto", "segmented"):
@@ -85,9 +85,11 @@ def read_middlebury(
 def write_middlebury(scene: Scene, folder: Path | str) -> Path:
     """Write a scene as a Middlebury set, with its silhouettes beside it; returns the folder."""
     folder = Path(folder)
+    names = ["_".join(Path(view.name).stem.split()) + ".png" for view in scene.views]
+    if len(set(names)) < len(names):
+        raise ValueError(f"scene {scene.name}: two views would be written to one file: {', '.join(names)}")
     lines = [str(len(scene.views))]
-    for view in scene.views:
-        name = f"{Path(view.name).stem}.png"
+    for view, name in zip(scene.views, names, strict=True):
         numbers = [*view.K.ravel(), *view.cam_from_world[:3, :3].ravel(), *view.cam_from_world[:3, 3]]
         lines.append(" ".join([name, *(repr(float(number)) for number in numbers)]))
         write_image(folder / name, view.image)
@@ -99,6 +101,9 @@ def write_middlebury(scene: Scene, folder: Path | str) -> Path:
         f"{scene.name}: {len(scene.views)} views\n\nThe (tight) bounding box is\n({low})\n({high})\n",
     )
     write_text(folder / f"{scene.name}_par.txt", "\n".join(lines) + "\n")
+    good = [name for view, name in zip(scene.views, names, strict=True) if view.silhouette is not None]
+    if 0 < len(good) < len(names):
+        write_text(folder / f"{scene.name}_good_silhouette_images.txt", "\n".join(good) + "\n")
     return folder
 
 
@@ -124,7 +129,7 @@ def read_angles(folder: Path | str) -> dict[str, tuple[float, float]]:
     """Latitude and longitude in degrees of each view, from ``*_ang.txt``; empty where there is no such file."""
     files = sorted(Path(folder).glob("*_ang.txt"))
     angles = {}
-    for number, line in enumerate(files[0].read_text().splitlines() if files else [], start=1):
+    for number, line in enumerate(_lines(files[0]) if files else [], start=1):
         fields = line.split()
         if not fields:
             continue
@@ -143,9 +148,14 @@ def _only_file(folder: Path, pattern: str) -> Path:
     return found[0]
 
 
+def _lines(file: Path) -> list[str]:
+    """Lines of a text file; bytes that are no UTF-8 are left to be found wrong where they stand."""
+    return file.read_text(encoding="utf-8", errors="replace").splitlines()
+
+
 def _read_views(par_file: Path) -> list[View]:
     """Views of a par file, with or without its count line."""
-    lines = [(n, line.split()) for n, line in enumerate(par_file.read_text().splitlines(), start=1) if line.strip()]
+    lines = [(n, line.split()) for n, line in enumerate(_lines(par_file), start=1) if line.strip()]
     expected = None
     if lines and len(lines[0][1]) == 1 and lines[0][1][0].isdigit():
         expected = int(lines.pop(0)[1][0])
@@ -197,7 +207,7 @@ def _good_silhouettes(folder: Path, scene: Scene) -> set[str] | None:
         return None
     names = {view.name for view in scene.views}
     good = set()
-    for number, line in enumerate(files[0].read_text().splitlines(), start=1):
+    for number, line in enumerate(_lines(files[0]), start=1):
         name = line.strip()
         if name and name not in names:
             raise DataError(f"{files[0]}:{number}: {name} is not in the par file")
@@ -213,7 +223,7 @@ def _padded(bounds: o3d.geometry.AxisAlignedBoundingBox) -> o3d.geometry.AxisAli
 
 def _unpadded(bounds: o3d.geometry.AxisAlignedBoundingBox) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     pad = bounds.get_max_extent() * PADDING / (1 + 2 * PADDING)
-    return bounds.min_bound + pad, bounds.max_bound - pad
+    return np.asarray(bounds.min_bound + pad), np.asarray(bounds.max_bound - pad)
 
 
 def _check_box(scene: Scene, *, foreground_must_fit: bool) -> None:

@@ -1,0 +1,148 @@
+"""The item buffer: per view and pixel, the first occupied voxel on the pixel's ray.
+
+Carving only removes voxels, so a ray's hit only moves on: a ray is its current voxel, -1 where it has left the volume,
+and the next voxel follows from the index and the ray alone, without rounding that would add up.
+"""
+
+from typing import Any
+
+import numpy as np
+from numba import prange
+from numpy.typing import NDArray
+
+from recon3d.kernels import kernel
+
+
+@kernel(parallel=True)
+def enter_volume(
+    shape: NDArray[np.int64],
+    origin: NDArray[np.float64],
+    size: float,
+    centers: NDArray[np.float64],
+    world_from_pixel: NDArray[np.float64],
+    wanted: NDArray[np.bool_],
+    items: NDArray[np.int32],
+) -> None:
+    """First voxel of every wanted pixel's ray in the volume, or -1; from a camera inside it, the camera's own."""
+    n_views, height, width = items.shape
+    for line in prange(n_views * height):
+        view = line // height
+        row = line % height
+        start = np.empty(3)
+        step = np.empty(3)
+        for column in range(width):
+            items[view, row, column] = -1
+            if not wanted[view, row, column]:
+                continue
+            near = 0.0
+            far = np.inf
+            for axis in range(3):
+                start[axis] = (centers[view, axis] - origin[axis]) / size
+                M = world_from_pixel[view, axis]
+                step[axis] = M[0] * column + M[1] * row + M[2]
+                if step[axis] == 0.0:
+                    if start[axis] < 0 or start[axis] >= shape[axis]:
+                        far = -1.0
+                    continue
+                first = -start[axis] / step[axis]
+                second = (shape[axis] - start[axis]) / step[axis]
+                near = max(near, min(first, second))
+                far = min(far, max(first, second))
+            if near < far:
+                index = 0
+                for axis in range(3):
+                    place = int(np.floor(start[axis] + near * step[axis]))
+                    index = index * shape[axis] + min(max(place, 0), shape[axis] - 1)
+                items[view, row, column] = index
+
+
+@kernel(parallel=True)
+def advance(
+    occupied: NDArray[np.bool_],
+    origin: NDArray[np.float64],
+    size: float,
+    centers: NDArray[np.float64],
+    world_from_pixel: NDArray[np.float64],
+    items: NDArray[np.int32],
+    touched: NDArray[np.bool_],
+) -> None:
+    """Move every ray on to its first occupied voxel, and mark in touched (flat) the voxels that rays newly hit."""
+    n_views, height, width = items.shape
+    shape = occupied.shape
+    flat = occupied.ravel()
+    for line in prange(n_views * height):
+        view = line // height
+        row = line % height
+        start = np.empty(3)
+        step = np.empty(3)
+        place = np.empty(3, np.int64)
+        for column in range(width):
+            item = items[view, row, column]
+            if item < 0 or flat[item]:
+                continue
+            place[0] = item // (shape[1] * shape[2])
+            place[1] = item // shape[2] % shape[1]
+            place[2] = item % shape[2]
+            for axis in range(3):
+                start[axis] = (centers[view, axis] - origin[axis]) / size
+                M = world_from_pixel[view, axis]
+                step[axis] = M[0] * column + M[1] * row + M[2]
+            item = _next_occupied(flat, shape, start, step, place)
+            items[view, row, column] = item
+            if item >= 0:
+                touched[item] = True
+
+
+@kernel()
+def _next_occupied(flat: Any, shape: Any, start: Any, step: Any, place: Any) -> int:
+    """Walk from an empty voxel along a ray to the next occupied one; -1 beyond the volume."""
+    while True:
+        axis = -1
+        nearest = np.inf
+        for a in range(3):
+            if step[a] != 0.0:
+                wall = place[a] + 1 if step[a] > 0 else place[a]
+                crossing = (wall - start[a]) / step[a]
+                if crossing < nearest:
+                    nearest = crossing
+                    axis = a
+        if axis < 0:
+            return -1
+        place[axis] += 1 if step[axis] > 0 else -1
+        if place[axis] < 0 or place[axis] >= shape[axis]:
+            return -1
+        index = (place[0] * shape[1] + place[1]) * shape[2] + place[2]
+        if flat[index]:
+            return index
+
+
+@kernel(parallel=True)
+def count_items(items: NDArray[np.int32], rank: NDArray[np.int32], counts: NDArray[np.int64]) -> None:
+    """Pixels of every ranked voxel in every view, (n, n_views); rank (flat) is -1 for voxels not asked for."""
+    for view in prange(items.shape[0]):
+        for row in range(items.shape[1]):
+            for column in range(items.shape[2]):
+                item = items[view, row, column]
+                if item >= 0 and rank[item] >= 0:
+                    counts[rank[item], view] += 1
+
+
+@kernel(parallel=True)
+def collect_items(
+    items: NDArray[np.int32],
+    rank: NDArray[np.int32],
+    view_starts: NDArray[np.int64],
+    images: NDArray[np.uint8],
+    colors: NDArray[np.uint8],
+) -> None:
+    """Second pass of the counting sort: the colours of every ranked voxel's pixels, view by view."""
+    for view in prange(items.shape[0]):
+        filled = view_starts[:, view].copy()
+        for row in range(items.shape[1]):
+            for column in range(items.shape[2]):
+                item = items[view, row, column]
+                if item >= 0 and rank[item] >= 0:
+                    target = filled[rank[item]]
+                    filled[rank[item]] += 1
+                    for channel in range(3):
+                        colors[target, channel] = images[view, row, column, channel]

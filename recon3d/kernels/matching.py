@@ -1,0 +1,181 @@
+"""Normalised cross-correlation of windows along the rays of pixels."""
+
+import numpy as np
+from numba import prange
+from numpy.typing import NDArray
+
+from recon3d.kernels import kernel
+from recon3d.kernels.silhouettes import bilinear
+
+
+@kernel(parallel=True)
+def best_depths(
+    image: NDArray[np.float32],
+    others: NDArray[np.float32],
+    other_sizes: NDArray[np.int64],
+    homographies: NDArray[np.float64],
+    epipoles: NDArray[np.float64],
+    pixels: NDArray[np.int64],
+    nearest: NDArray[np.float64],
+    farthest: NDArray[np.float64],
+    step: float,
+    radius: int,
+    stride: int,
+    min_deviation: float,
+    depths: NDArray[np.float64],
+    scores: NDArray[np.float64],
+) -> None:
+    """Depth at which the windows of a view's pixels (n, 2) agree best with other views, and that agreement.
+
+    A pixel p at depth z lies at z * homographies[j] p + epipoles[j] in view j; windows stand parallel to the image.
+    The score of a depth is the mean of the two best correlations; scores is -1 where there is none.
+    """
+    height, width = image.shape
+    n_others = others.shape[0]
+    side = 2 * (radius // stride) + 1
+    reach = stride * (radius // stride)
+    count = side * side
+    for n in prange(pixels.shape[0]):
+        scores[n] = -1.0
+        u = pixels[n, 0]
+        v = pixels[n, 1]
+        if u < reach or v < reach or u >= width - reach or v >= height - reach:
+            continue
+        window = np.empty(count)
+        mean = 0.0
+        at = 0
+        for dv in range(-reach, reach + 1, stride):
+            for du in range(-reach, reach + 1, stride):
+                window[at] = image[v + dv, u + du]
+                mean += window[at]
+                at += 1
+        mean /= count
+        power = 0.0
+        for at in range(count):
+            window[at] -= mean
+            power += window[at] * window[at]
+        if power < count * min_deviation * min_deviation:
+            continue
+        n_steps = int((farthest[n] - nearest[n]) / step) + 1
+        previous = -1.0
+        best_at = -1
+        left = 0.0
+        right = 0.0
+        for s in range(n_steps):
+            z = nearest[n] + s * step
+            first = -1.0
+            second = -1.0
+            for j in range(n_others):
+                ncc = _correlation(window, power, u, v, z, reach, stride, homographies[j], epipoles[j], others[j],
+                                   other_sizes[j, 0], other_sizes[j, 1])  # fmt: skip
+                if ncc > first:
+                    second = first
+                    first = ncc
+                elif ncc > second:
+                    second = ncc
+            score = 0.5 * (first + second) if n_others > 1 else first
+            if best_at == s - 1 and best_at >= 0:
+                right = score
+            if score > scores[n]:
+                scores[n] = score
+                best_at = s
+                left = previous
+                right = -1.0
+            previous = score
+        if best_at >= 0:
+            offset = 0.0
+            curvature = left - 2 * scores[n] + right
+            if left > -1.0 and right > -1.0 and curvature < -1e-9:
+                offset = 0.5 * (left - right) / curvature
+            depths[n] = nearest[n] + (best_at + offset) * step
+
+
+@kernel()
+def _correlation(
+    window: NDArray[np.float64],
+    power: float,
+    u: int,
+    v: int,
+    z: float,
+    reach: int,
+    stride: int,
+    H: NDArray[np.float64],
+    e: NDArray[np.float64],
+    other: NDArray[np.float32],
+    width: int,
+    height: int,
+) -> float:
+    """Correlation of a centred window with its image in another view; -1 where that leaves the image."""
+    total = 0.0
+    square = 0.0
+    product = 0.0
+    at = 0
+    for dv in range(-reach, reach + 1, stride):
+        # Homogeneous place of the row's first sample; it moves by a constant from sample to sample.
+        x = z * (H[0, 0] * (u - reach) + H[0, 1] * (v + dv) + H[0, 2]) + e[0]
+        y = z * (H[1, 0] * (u - reach) + H[1, 1] * (v + dv) + H[1, 2]) + e[1]
+        w = z * (H[2, 0] * (u - reach) + H[2, 1] * (v + dv) + H[2, 2]) + e[2]
+        for _ in range(-reach, reach + 1, stride):
+            if w <= 0.0:
+                return -1.0
+            inverse = 1.0 / w
+            a = x * inverse
+            b = y * inverse
+            if not (a >= 0.0 and b >= 0.0 and a <= width - 1.0 and b <= height - 1.0):
+                return -1.0
+            value = bilinear(other, a, b, width, height)
+            total += value
+            square += value * value
+            product += value * window[at]
+            at += 1
+            x += z * stride * H[0, 0]
+            y += z * stride * H[1, 0]
+            w += z * stride * H[2, 0]
+    variance = square - total * total / at
+    if variance < 1e-6 * at:
+        return -1.0
+    return product / np.sqrt(power * variance)
+
+
+@kernel(parallel=True)
+def fuse_depths(
+    voxels: NDArray[np.int64],
+    origin: NDArray[np.float64],
+    size: float,
+    projections: NDArray[np.float64],
+    depth_maps: NDArray[np.float32],
+    weights: NDArray[np.float32],
+    stride: int,
+    truncation: float,
+    distance: NDArray[np.float64],
+    support: NDArray[np.float64],
+) -> None:
+    """Weighted mean of truncated signed distances (positive behind the depth maps) at voxel centres (n, 3).
+
+    Depth maps hold every stride-th pixel of every stride-th row. A voxel farther than the truncation behind a view's
+    surface learns nothing from that view.
+    """
+    n_views, rows, columns = depth_maps.shape
+    for n in prange(voxels.shape[0]):
+        x = origin[0] + (voxels[n, 0] + 0.5) * size
+        y = origin[1] + (voxels[n, 1] + 0.5) * size
+        z = origin[2] + (voxels[n, 2] + 0.5) * size
+        total = 0.0
+        weight = 0.0
+        for view in range(n_views):
+            P = projections[view]
+            depth = P[2, 0] * x + P[2, 1] * y + P[2, 2] * z + P[2, 3]
+            if depth <= 0.0:
+                continue
+            column = int(np.floor((P[0, 0] * x + P[0, 1] * y + P[0, 2] * z + P[0, 3]) / depth / stride + 0.5))
+            row = int(np.floor((P[1, 0] * x + P[1, 1] * y + P[1, 2] * z + P[1, 3]) / depth / stride + 0.5))
+            if row < 0 or column < 0 or row >= rows or column >= columns or weights[view, row, column] <= 0.0:
+                continue
+            behind = depth - depth_maps[view, row, column]
+            if behind > truncation:
+                continue
+            total += weights[view, row, column] * max(behind, -truncation)
+            weight += weights[view, row, column]
+        support[n] = weight
+        if weight > 0.0:
+            distance[n] = total / weight

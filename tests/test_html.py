@@ -1,0 +1,53 @@
+from __future__ import annotations
+
+import base64
+import re
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from recon3d.html import Summarised, thumbnails
+
+
+class Told(Summarised):
+    def summary(self) -> dict[str, object]:
+        return {"a <b>": 1, "c": "<script>"}
+
+
+class Shown(Told):
+    def picture(self) -> NDArray[np.uint8]:
+        return np.full((4, 6, 3), (10, 20, 200), np.uint8)
+
+
+def test_a_value_is_told_in_one_line() -> None:
+    assert repr(Told()) == "Told(a <b>: 1, c: <script>)"
+
+
+def test_the_table_is_escaped() -> None:
+    page = Told()._repr_html_()
+    assert "<script>" not in page
+    assert "&lt;script&gt;" in page
+    assert "a &lt;b&gt;" in page
+    assert "<img" not in page
+
+
+def test_the_picture_is_embedded_in_its_own_colours() -> None:
+    found = re.search(r"data:image/png;base64,([^']+)", Shown()._repr_html_())
+    assert found
+    image = cv2.imdecode(np.frombuffer(base64.b64decode(found[1]), np.uint8), cv2.IMREAD_COLOR)
+    np.testing.assert_array_equal(image[..., ::-1], Shown().picture())
+
+
+def test_thumbnails_stand_in_rows_padded_with_white() -> None:
+    images = [np.full((20, 40, 3), 10 * n, np.uint8) for n in range(1, 4)] + [np.full((40, 40, 3), 40, np.uint8)]
+    sheet = thumbnails(images[:3], width=20, columns=2)
+    assert sheet.shape == (20, 40, 3)
+    assert (sheet[:10, :20] == 10).all()
+    assert (sheet[:10, 20:] == 20).all()
+    assert (sheet[10:, :20] == 30).all()
+    assert (sheet[10:, 20:] == 255).all()
+    mixed = thumbnails(images, width=20, columns=9)
+    assert mixed.shape == (20, 80, 3)
+    assert (mixed[10:, :60] == 255).all()
+    assert (mixed[:, 60:] == 40).all()
