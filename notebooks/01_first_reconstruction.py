@@ -20,6 +20,7 @@
 # %%
 # %matplotlib inline
 import matplotlib.pyplot as plt
+
 import recon3d
 
 built_in = recon3d.little_temple(width=480, height=360)

@@ -6,8 +6,9 @@ Usage: python scripts/evaluate_middlebury.py RECON GROUND_TRUTH [--output DIR]
 from pathlib import Path
 from typing import Annotated
 
-import recon3d
 import typer
+
+import recon3d
 
 
 def main(
