@@ -153,6 +153,9 @@ def reconstruct(
     ] = "auto",
     max_views: Annotated[int | None, typer.Option(help="With --views auto: at most so many.")] = None,
     fill_hidden: Annotated[bool, typer.Option("--fill-hidden", help="Mesh what lies hidden, too: solid.")] = False,
+    keep_unseen: Annotated[
+        bool, typer.Option(help="Keep surface that no view sees, such as the underside, so that the mesh is closed.")
+    ] = True,
     bounds: BoundsOption = None,
     silhouettes: SilhouettesOption = "auto",
     mm_per_unit: UnitOption = 1000.0,
@@ -175,6 +178,7 @@ def reconstruct(
         views=chosen_views,
         max_views=max_views,
         fill_hidden=fill_hidden,
+        keep_unseen=keep_unseen,
     )
     truth = read_mesh(ground_truth) if ground_truth else None
     loaded = _load(scene, bounds, silhouettes, mm_per_unit)

@@ -23,7 +23,7 @@ from recon3d.errors import DataError
 from recon3d.evaluation import Evaluation, evaluate, triangles_near
 from recon3d.html import Summarised
 from recon3d.io.files import MESH_SUFFIXES, read_geometry, read_mesh, write_geometry, write_image, write_json
-from recon3d.rendering import Renderer, comparison_sheet, turntable
+from recon3d.rendering import Renderer, comparison_sheet, turntable, without_unseen
 from recon3d.scene import Scene
 from recon3d.surface import mesh_volume, surface_points
 from recon3d.volume import CarvingVolume
@@ -52,6 +52,8 @@ class Settings:
     """With "auto": use at most so many; the paper uses 8."""
     fill_hidden: bool = False
     """With a one-sided method, mesh what lies hidden behind the accepted voxels, too: solid, but partly guessed."""
+    keep_unseen: bool = True
+    """Keep surface that no view sees, such as the underside, so that the mesh is closed."""
     smoothing: int = 5
     """Pairs of Taubin steps on the mesh; 0: none."""
 
@@ -96,7 +98,7 @@ class Reconstruction(Summarised):
     points: o3d.geometry.PointCloud
     """Coloured centres of the surface voxels with outward normals."""
     mesh: o3d.geometry.TriangleMesh
-    """Closed, smooth, coloured."""
+    """Smooth, coloured; closed unless what is unseen was left out."""
     timings: dict[str, float]
     """Seconds of each step."""
     evaluation: Evaluation | None = None
@@ -213,6 +215,8 @@ def reconstruct(
             distance=hull.distance,
             smoothing=settings.smoothing,
         )
+        if not settings.keep_unseen:
+            mesh = without_unseen(mesh, scene)
         report("surface", 2, 2)
     evaluation = None
     if ground_truth is not None:

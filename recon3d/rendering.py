@@ -98,6 +98,32 @@ class Renderer:
         return self.render(view.K, view.cam_from_world, view.width, view.height)
 
 
+def count_seeing_views(mesh: o3d.geometry.TriangleMesh, scene: Scene) -> NDArray[np.int64]:
+    """(n_vertices,) how many views see each vertex of a mesh, nothing of the mesh being in between."""
+    vertices = np.asarray(mesh.vertices)
+    # A vertex lies on triangles of its own, so its ray may end a little before it.
+    slack = 1e-3 * float(np.linalg.norm(mesh.get_max_bound() - mesh.get_min_bound()))
+    caster = o3d.t.geometry.RaycastingScene()
+    caster.add_triangles(o3d.t.geometry.TriangleMesh.from_legacy(mesh))
+    counts = np.zeros(len(vertices), np.int64)
+    for view in scene.views:
+        sight = vertices - view.center
+        distance = np.linalg.norm(sight, axis=1)
+        rays = np.column_stack([np.broadcast_to(view.center, sight.shape), sight / distance[:, None]])
+        first = caster.cast_rays(o3d.core.Tensor.from_numpy(rays.astype(np.float32)))["t_hit"].numpy()
+        counts += view.sees(vertices) & (first > distance - slack)
+    return counts
+
+
+def without_unseen(mesh: o3d.geometry.TriangleMesh, scene: Scene) -> o3d.geometry.TriangleMesh:
+    """The part of a mesh that some view sees: open where nobody looked, such as underneath."""
+    seen = count_seeing_views(mesh, scene) > 0
+    part = o3d.geometry.TriangleMesh(mesh)
+    part.remove_triangles_by_mask(~seen[np.asarray(mesh.triangles)].all(axis=1))
+    part.remove_unreferenced_vertices()
+    return part
+
+
 def pixel_rays(
     K: NDArray[np.float64], cam_from_world: NDArray[np.float64], width: int, height: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -7,6 +7,7 @@ from recon3d.carving.generalized import generalized_voxel_coloring
 from recon3d.carving.photo_hull import Label, PhotoHull
 from recon3d.carving.visibility import SweepDirection, largest_admissible_views, sweep_direction
 from recon3d.carving.visual_hull import visual_hull
+from recon3d.carving.vote_carving import vote_carving
 from recon3d.carving.voxel_coloring import voxel_coloring
 
 
@@ -21,6 +22,7 @@ class Method(NamedTuple):
 METHODS: dict[str, Method] = {
     "visual-hull": Method(visual_hull),
     "generalized-voxel-coloring": Method(generalized_voxel_coloring),
+    "vote-carving": Method(vote_carving),
     "voxel-coloring": Method(voxel_coloring, one_sided=True),
 }
 
@@ -34,5 +36,6 @@ __all__ = [
     "largest_admissible_views",
     "sweep_direction",
     "visual_hull",
+    "vote_carving",
     "voxel_coloring",
 ]

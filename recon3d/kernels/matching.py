@@ -179,3 +179,43 @@ def fuse_depths(
         support[n] = weight
         if weight > 0.0:
             distance[n] = total / weight
+
+
+@kernel(parallel=True)
+def count_agreements(
+    projections: NDArray[np.float64],
+    centers: NDArray[np.float64],
+    world_from_pixel: NDArray[np.float64],
+    depth_maps: NDArray[np.float32],
+    stride: int,
+    tolerance: float,
+    counts: NDArray[np.int64],
+) -> None:
+    """In how many other views the depth map, where a pixel's point falls, has the point's own depth.
+
+    Depth maps hold every stride-th pixel of every stride-th row, 0 where there is no depth; tolerance is far below
+    any depth.
+    """
+    n_views, rows, columns = depth_maps.shape
+    for line in prange(n_views * rows):
+        view = line // rows
+        row = line % rows
+        M = world_from_pixel[view]
+        for column in range(columns):
+            z = depth_maps[view, row, column]
+            if z <= 0.0:
+                continue
+            u = column * stride
+            v = row * stride
+            x = centers[view, 0] + z * (M[0, 0] * u + M[0, 1] * v + M[0, 2])
+            y = centers[view, 1] + z * (M[1, 0] * u + M[1, 1] * v + M[1, 2])
+            w = centers[view, 2] + z * (M[2, 0] * u + M[2, 1] * v + M[2, 2])
+            for other in range(n_views):
+                P = projections[other]
+                depth = P[2, 0] * x + P[2, 1] * y + P[2, 2] * w + P[2, 3]
+                if other == view or depth <= 0.0:
+                    continue
+                c = int(np.floor((P[0, 0] * x + P[0, 1] * y + P[0, 2] * w + P[0, 3]) / depth / stride + 0.5))
+                r = int(np.floor((P[1, 0] * x + P[1, 1] * y + P[1, 2] * w + P[1, 3]) / depth / stride + 0.5))
+                if 0 <= r < rows and 0 <= c < columns and abs(depth_maps[other, r, c] - depth) <= tolerance:
+                    counts[view, row, column] += 1

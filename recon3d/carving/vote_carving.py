@@ -1,0 +1,221 @@
+"""Carving by the votes of neighbouring views: the visual hull, with colour evidence that bites but does not tear."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import binary_fill_holes, gaussian_filter
+
+from recon3d.carving.item_buffer import ItemBuffer
+from recon3d.carving.photo_hull import Label, PhotoHull, Progress
+from recon3d.carving.views import ViewArrays
+from recon3d.carving.visual_hull import color_visible, hull_distance
+from recon3d.consistency import ConsistencyTest
+from recon3d.errors import EmptyReconstructionError, SceneError
+from recon3d.kernels.matching import best_depths, count_agreements, fuse_depths
+from recon3d.scene import Scene
+from recon3d.volume import CarvingVolume
+
+MIN_DEVIATION = 2.0
+"""Grey levels; a window with less contrast has nothing to match."""
+
+_NEIGHBOURS = 4
+_NEAREST_ANGLE, _FARTHEST_ANGLE = 5.0, 60.0  # degrees between viewing directions that can be matched
+
+
+@dataclass(frozen=True)
+class _Round:
+    """One pass: match every view along its rays from the present surface, vote, carve."""
+
+    stride: int
+    """Pixels between matched pixels."""
+    reach: float
+    """How deep behind the surface to look, as a fraction of the bounds' shortest side."""
+    step: float
+    """Between tried depths, pixel footprints."""
+    prior: float
+    """Weight of the vote for solid that every voxel starts with; a clear match weighs up to one."""
+    margin: float
+    """Voxels that this pass leaves in front of the surface it found."""
+
+
+_ROUNDS = (
+    _Round(stride=4, reach=1.0, step=2.5, prior=0.3, margin=1.5),  # find the cavities
+    _Round(stride=2, reach=0.1, step=1.25, prior=0.05, margin=0.0),  # find the surface
+)
+
+
+def vote_carving(
+    scene: Scene,
+    volume: CarvingVolume,
+    test: ConsistencyTest | None = None,  # noqa: ARG001 # methods are called alike
+    *,
+    radius: int = 5,
+    min_score: float = 0.6,
+    truncation: float = 4.0,
+    progress: Progress | None = None,
+) -> PhotoHull:
+    """Carve the visual hull where neighbouring views agree that the surface lies deeper.
+
+    A threshold on all pixels of a voxel must survive the two most different of its views, so it either keeps
+    everything or tears true surface. Here each view is asked by itself: along the ray of a pixel, from the present
+    surface inwards, at which depth does the window around it correlate best with views 5 to 60 degrees away? An
+    occluded or grazing view then merely has no good answer. Depths that no second view confirms are dropped; the
+    others vote: for empty before them, for solid just behind. A voxel nobody speaks of stays, as do unseen cavities.
+
+    Two passes: a coarse one through the whole object for its cavities, a fine one near the surface found. The result
+    lies inside the visual hull, and its distance field gives the surface to a fraction of a voxel.
+
+    Parameters
+    ----------
+    test : not used; windows are compared by normalised cross-correlation.
+    radius : of the windows, pixels; every second pixel is compared.
+    min_score : mean of the two best correlations that counts as a match, in (-1, 1).
+    truncation : voxels before and behind a depth within which it is evidence for the surface's exact place.
+
+    Returns
+    -------
+    PhotoHull
+        Consistent: the voxels that some pixel sees, coloured; hidden: the others inside; inconsistent: carved by
+        votes. ``distance`` is the signed distance to the surface.
+
+    Raises
+    ------
+    SceneError : no silhouettes, or no two views that can be matched.
+    EmptyReconstructionError : nothing was left.
+
+    References
+    ----------
+    Vogiatzis, Hernandez, Torr, Cipolla, "Multiview stereo via volumetric graph-cuts and occlusion robust
+    photo-consistency", PAMI 2007 (votes along rays). Curless, Levoy, "A volumetric method for building complex models
+    from range images", SIGGRAPH 1996 (truncated signed distances).
+    """
+    if radius < 1 or not -1 < min_score < 1 or not truncation > 0:
+        raise ValueError(
+            f"expected radius >= 1, min_score in (-1, 1) and truncation > 0, got {radius}, {min_score}, {truncation}"
+        )
+    neighbours = matching_neighbours(scene)
+    views = ViewArrays(scene)
+    hull_field = hull_distance(scene, volume)
+    inside_hull = volume.occupied & (hull_field > 0)
+    field = np.where(volume.occupied, hull_field, np.minimum(hull_field, -volume.voxel_size))
+    matcher = _Matcher(scene, volume, views, neighbours, radius, min_score)
+    for n, settings in enumerate(_ROUNDS):
+        buffer = ItemBuffer(views, volume)
+        buffer.advance(field > 0)
+        depths, weights = matcher.depth_maps(buffer, settings)
+        field = _carve(field, volume, views, depths, weights, settings, truncation * volume.voxel_size)
+        if progress:
+            progress(n + 1, len(_ROUNDS))
+
+    occupied = field > 0
+    if not occupied.any():
+        raise EmptyReconstructionError(
+            f"scene {scene.name}: the votes carved all {inside_hull.sum():,} voxels of the hull"
+        )
+    hull = PhotoHull.untouched(volume, field.astype(np.float32))
+    hull.labels[volume.occupied] = Label.BACKGROUND
+    hull.labels[inside_hull] = Label.INCONSISTENT
+    hull.labels[occupied] = Label.HIDDEN
+    color_visible(hull, ItemBuffer(views, volume), occupied)
+    return hull
+
+
+def matching_neighbours(scene: Scene) -> list[list[int]]:
+    """For each view up to four others, the nearest first, seen from the bounds' centre at 5 to 60 degrees from it.
+
+    Views less than 5 degrees apart count as one.
+
+    Raises
+    ------
+    SceneError : no view has such a neighbour.
+    """
+    directions = scene.centers - np.asarray(scene.bounds.get_center())
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    angles = np.degrees(np.arccos(np.clip(directions @ directions.T, -1, 1)))
+    chosen: list[list[int]] = []
+    for row in angles:
+        others: list[int] = []
+        for other in np.argsort(row, kind="stable"):
+            apart = all(angles[other, known] >= _NEAREST_ANGLE for known in others)
+            if _NEAREST_ANGLE <= row[other] <= _FARTHEST_ANGLE and apart and len(others) < _NEIGHBOURS:
+                others.append(int(other))
+        chosen.append(others)
+    if not any(chosen):
+        raise SceneError(f"scene {scene.name}: no two views lie 5 to 60 degrees apart, so none can be matched")
+    return chosen
+
+
+@dataclass(frozen=True)
+class _Matcher:
+    """Finds depths by correlation."""
+
+    scene: Scene
+    volume: CarvingVolume
+    views: ViewArrays
+    neighbours: list[list[int]]
+    radius: int
+    min_score: float
+
+    def depth_maps(self, buffer: ItemBuffer, settings: _Round) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Confirmed depths and their weights (n_views, rows, columns) of every stride-th pixel; 0 where none."""
+        views, size = self.views, self.volume.voxel_size
+        grey = np.stack([cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) for image in views.images]).astype(np.float32)
+        items = buffer.items[:, :: settings.stride, :: settings.stride]
+        depths = np.zeros(items.shape, np.float32)
+        weights = np.zeros(items.shape, np.float32)
+        reach = settings.reach * float(min(self.scene.bounds.get_extent()))
+        for n, others in enumerate(self.neighbours):
+            rows, columns = np.nonzero(items[n] >= 0)
+            voxels = np.column_stack(np.unravel_index(items[n][rows, columns], self.volume.shape))
+            centers = self.volume.origin + (voxels + 0.5) * size
+            entry = centers @ views.projections[n, 2, :3] + views.projections[n, 2, 3]
+            found, score = np.zeros(len(entry)), np.full(len(entry), -1.0)
+            if others:
+                P = views.projections[others]
+                best_depths(
+                    grey[n], grey[others], views.sizes[others],
+                    P[:, :, :3] @ views.world_from_pixel[n], P[:, :, :3] @ views.centers[n] + P[:, :, 3],
+                    settings.stride * np.column_stack([columns, rows]), entry - 1.5 * size, entry + reach,
+                    settings.step * self.scene.pixel_footprint, self.radius, 2, MIN_DEVIATION, found, score,
+                )  # fmt: skip
+            good = score > self.min_score
+            depths[n, rows[good], columns[good]] = found[good]
+            weights[n, rows[good], columns[good]] = score[good] ** 2
+        agreements = np.zeros(depths.shape, np.int64)
+        count_agreements(
+            views.projections, views.centers, views.world_from_pixel, depths, settings.stride, 0.75 * size, agreements
+        )
+        return np.where(agreements > 0, depths, 0), np.where(agreements > 0, weights, 0)
+
+
+def _carve(
+    field: NDArray[np.float32],
+    volume: CarvingVolume,
+    views: ViewArrays,
+    depths: NDArray[np.float32],
+    weights: NDArray[np.float32],
+    settings: _Round,
+    truncation: float,
+) -> NDArray[np.float32]:
+    """Signed distance field (nx, ny, nz) after the depth maps' votes; never larger than before but in filled holes."""
+    occupied = field > 0
+    voxels = np.argwhere(occupied)
+    distance, support = np.zeros(len(voxels)), np.zeros(len(voxels))
+    fuse_depths(
+        voxels, volume.origin, volume.voxel_size, views.projections, depths, weights, settings.stride, truncation,
+        distance, support,
+    )  # fmt: skip
+    votes, weight = np.zeros(volume.shape, np.float32), np.zeros(volume.shape, np.float32)
+    votes[occupied], weight[occupied] = distance * support, support
+    # Blurred together with their weights, so that one stray ray cannot bore a hole.
+    votes, weight = gaussian_filter(votes, 1.0), gaussian_filter(weight, 1.0)
+    judged = (votes + settings.prior * truncation) / (weight + settings.prior)
+    carved = np.where(occupied, np.minimum(field, judged + settings.margin * volume.voxel_size), field)
+    # A cavity without an opening was seen by nobody.
+    enclosed = binary_fill_holes(carved > 0) & (carved <= 0) & occupied
+    carved[enclosed] = volume.voxel_size
+    return np.asarray(carved, np.float32)
