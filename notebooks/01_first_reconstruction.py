@@ -96,9 +96,10 @@ plt.show()
 # ## All at once
 #
 # `reconstruct` does these steps with one call, and `save` writes mesh, points, voxels, pictures and a record of every
-# parameter and figure.
+# parameter and figure. Left to choose for itself, it takes a method that matches neighbouring views inside the visual
+# hull.
 
 # %%
-settings = recon3d.Settings(n_voxels=200_000, test=recon3d.StandardDeviation(threshold=25))
+settings = recon3d.Settings(n_voxels=500_000)
 result = recon3d.reconstruct(scene, settings, ground_truth=built_in.ground_truth)
 result

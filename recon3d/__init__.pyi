@@ -1,5 +1,14 @@
 from ._version import __version__ as __version__
-from .carving import METHODS, Label, PhotoHull, largest_admissible_views, voxel_coloring
+from .carving import (
+    METHODS,
+    Label,
+    PhotoHull,
+    generalized_voxel_coloring,
+    largest_admissible_views,
+    visual_hull,
+    vote_carving,
+    voxel_coloring,
+)
 from .consistency import (
     TESTS,
     ConsistencyTest,
@@ -17,7 +26,7 @@ from .errors import (
     VisibilityError,
     VolumeTooLargeError,
 )
-from .evaluation import Evaluation, evaluate, triangles_near
+from .evaluation import Evaluation, error_map, evaluate, triangles_near
 from .figures import plot_evaluation, save_evaluation, show_mesh
 from .io import (
     open_scene,
@@ -27,8 +36,15 @@ from .io import (
     write_geometry,
     write_middlebury,
 )
-from .pipeline import Reconstruction, Settings, evaluate_files, reconstruct, save_pictures
-from .rendering import Renderer, Rendering, comparison_sheet, turntable
+from .pipeline import (
+    Reconstruction,
+    Settings,
+    evaluate_files,
+    reconstruct,
+    save_error_maps,
+    save_pictures,
+)
+from .rendering import Renderer, Rendering, comparison_sheet, count_seeing_views, turntable, without_unseen
 from .scene import Scene, View, make_bounds
 from .silhouettes import (
     with_mask_files,
@@ -66,8 +82,11 @@ __all__ = [
     "VisibilityError",
     "VolumeTooLargeError",
     "comparison_sheet",
+    "count_seeing_views",
+    "error_map",
     "evaluate",
     "evaluate_files",
+    "generalized_voxel_coloring",
     "largest_admissible_views",
     "little_temple",
     "make_bounds",
@@ -78,17 +97,21 @@ __all__ = [
     "read_mesh",
     "read_middlebury",
     "reconstruct",
+    "save_error_maps",
     "save_evaluation",
     "save_pictures",
     "show_mesh",
     "surface_points",
     "triangles_near",
     "turntable",
+    "visual_hull",
+    "vote_carving",
     "voxel_coloring",
     "with_mask_files",
     "with_segmented_silhouettes",
     "with_threshold_silhouettes",
     "without_silhouettes",
+    "without_unseen",
     "write_geometry",
     "write_middlebury",
 ]

@@ -136,12 +136,14 @@ def reconstruct(
         int | None, typer.Option("--voxels", help="Approximate number of voxels [default: 1000000].")
     ] = None,
     voxel_size: Annotated[float | None, typer.Option(help="Voxel size in world units, instead of --voxels.")] = None,
-    method: Annotated[str, typer.Option(help="Carving method.")] = "voxel-coloring",
+    method: Annotated[str, typer.Option(help="Carving method: auto or one of the README's table.")] = "auto",
     method_option: Annotated[
         list[str] | None,
         typer.Option(metavar="NAME=VALUE", help="Option of the method, such as connectivity=6; may be repeated."),
     ] = None,
-    test: Annotated[str, typer.Option(help="Photo-consistency test: fuzzy or standard-deviation.")] = "fuzzy",
+    test: Annotated[
+        str | None, typer.Option(help="Photo-consistency test: fuzzy or standard-deviation, where the method uses one.")
+    ] = None,
     test_option: Annotated[
         list[str] | None, typer.Option(metavar="NAME=VALUE", help="Parameter of the test; may be repeated.")
     ] = None,
@@ -174,7 +176,7 @@ def reconstruct(
         voxel_size=voxel_size,
         method=method,
         method_options=_keywords(method_option or []),
-        test=_make_test(test, test_option or []),
+        test=_make_test(test, test_option or []) if test or test_option else None,
         views=chosen_views,
         max_views=max_views,
         fill_hidden=fill_hidden,
@@ -202,11 +204,15 @@ def evaluate(
         typer.Option(metavar="MESH", help="The part of GROUND_TRUTH that is real data; the rest is filler."),
     ] = None,
     real_within: Annotated[float, typer.Option(metavar="MM", help="How near to --real counts as real.")] = 0.1,
+    error_scale: Annotated[float, typer.Option(metavar="MM", help="Distance that the error maps show red.")] = 5.0,
     seed: SeedOption = 0,
 ) -> None:
     """Measure a reconstruction: accuracy and completeness against a ground truth."""
+    from open3d.geometry import TriangleMesh
+
     from recon3d.figures import save_evaluation
-    from recon3d.pipeline import evaluate_files
+    from recon3d.io import read_geometry
+    from recon3d.pipeline import evaluate_files, save_error_maps
 
     with _progress() as report:
         report("measuring", 0, 1)
@@ -221,8 +227,16 @@ def evaluate(
             seed=seed,
         )
         report("measuring", 1, 1)
+    folder = output or _beside(reconstruction, "evaluation")
+    written = save_evaluation(measured, folder)
+    files = _mesh_of(reconstruction), ground_truth
+    if all(isinstance(read_geometry(file), TriangleMesh) for file in files):
+        with _progress() as report:
+            report("error maps", 0, 1)
+            written |= save_error_maps(*files, folder, mm_per_unit=mm_per_unit, full_scale_mm=error_scale)
+            report("error maps", 1, 1)
     _say(measured.summary())
-    _say(save_evaluation(measured, output or _beside(reconstruction, "evaluation")))
+    _say(written)
 
 
 @app.command()
@@ -328,10 +342,11 @@ def _save(result: Reconstruction, folder: Path, formats: list[str], *, pictures:
     return written
 
 
-def _make_test(name: str, options: list[str]) -> ConsistencyTest:
+def _make_test(name: str | None, options: list[str]) -> ConsistencyTest:
     """Photo-consistency test of a name, with NAME=VALUE options."""
     from recon3d.consistency import TESTS
 
+    name = name or "fuzzy"
     if name not in TESTS:
         raise ValueError(f"--test: expected {' or '.join(TESTS)}, got {name!r}")
     try:

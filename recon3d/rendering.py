@@ -148,12 +148,16 @@ def comparison_sheet(scene: Scene, renderer: Renderer, *, views: int = 4, width:
 
 
 def turntable(
-    scene: Scene, renderer: Renderer, *, frames: int = 8, size: int = 320, mode: str = "colored"
+    scene: Scene | None, renderer: Renderer, *, frames: int = 8, size: int = 320, mode: str = "colored"
 ) -> NDArray[np.uint8]:
-    """RGB strip of the mesh seen from all around, about the axis that the cameras stand around."""
-    up = up_direction(scene)
+    """RGB strip of the mesh seen from all around, about the axis that a scene's cameras stand around.
+
+    Without a scene, about the longest side of the mesh's box.
+    """
+    extent = renderer.mesh.get_max_bound() - renderer.mesh.get_min_bound()
+    up = np.eye(3)[int(extent.argmax())] if scene is None else up_direction(scene)
     center = renderer.mesh.get_axis_aligned_bounding_box().get_center()
-    radius = float(np.linalg.norm(renderer.mesh.get_max_bound() - renderer.mesh.get_min_bound())) / 2
+    radius = float(np.linalg.norm(extent)) / 2
     pictures = [
         renderer.render(*camera, 2 * size, 2 * size).picture(mode)
         for camera in _orbit(center, radius, up, frames, 2 * size)

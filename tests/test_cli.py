@@ -79,7 +79,7 @@ def test_a_reconstruction_is_written_measured_and_rendered(
 
 def test_a_test_and_its_options_are_chosen_by_name(photographs: Path, tmp_path: Path) -> None:
     run(
-        "reconstruct", photographs, "--voxels", 8000, "-o", tmp_path, "--no-pictures",
+        "reconstruct", photographs, "--voxels", 8000, "-o", tmp_path, "--no-pictures", "--method", "voxel-coloring",
         "--test", "standard-deviation", "--test-option", "threshold=45", "--views", "view0[1-5]*",
     )  # fmt: skip
     record = json.loads((tmp_path / "record.json").read_text())
@@ -95,7 +95,10 @@ def test_a_test_and_its_options_are_chosen_by_name(photographs: Path, tmp_path: 
         (["reconstruct", "PHOTOGRAPHS", "--test-option", "colour=3"], "--test-option: "),
         (["reconstruct", "PHOTOGRAPHS", "--voxel-size", "1e-7"], "a voxel size of"),
         (["reconstruct", "PHOTOGRAPHS", "--bounds", "1,2,3"], "--bounds: expected six numbers"),
-        (["reconstruct", "PHOTOGRAPHS", "--method-option", "connectivity=7"], "expected connectivity 6, 18 or 26"),
+        (
+            ["reconstruct", "PHOTOGRAPHS", "--method", "voxel-coloring", "--method-option", "connectivity=7"],
+            "expected connectivity 6, 18 or 26",
+        ),
         (["reconstruct", "PHOTOGRAPHS", "--views", "view99.png"], "has no view view99.png"),
         (["evaluate", "nowhere.ply", "nowhere.ply"], "nowhere.ply: no such file"),
         (["render", "nowhere.ply"], "nowhere.ply: no such file"),

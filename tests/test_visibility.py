@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scenes import plain_view, rotation
 from scipy.optimize import linprog, minimize
 
-from recon3d.carving import largest_admissible_views, sweep_direction
+from recon3d.carving import largest_admissible_views, spread_views, sweep_direction
 from recon3d.carving.visibility import require_sweep_direction
 from recon3d.errors import VisibilityError
 from recon3d.rendering import look_at
@@ -187,10 +187,10 @@ def best_subsets_on_a_ring(centers: NDArray[np.float64]) -> tuple[int, float]:
 def test_a_limit_leaves_out_one_of_the_nearest_pair_first() -> None:
     scene = scene_from(np.array([[0.0, 0, 4], [0.01, 0, 4], [1.5, 0, 4], [-1.5, 0, 4]]))
     assert len(largest_admissible_views(scene)) == 4
-    kept = largest_admissible_views(scene, limit=3)
+    kept = [view.name for view in spread_views(scene, 3).views]
     assert kept in (["v0", "v2", "v3"], ["v1", "v2", "v3"])
-    assert len(largest_admissible_views(scene, limit=1)) == 1
-    assert largest_admissible_views(scene, limit=9) == ["v0", "v1", "v2", "v3"]
+    assert len(spread_views(scene, 1).views) == 1
+    assert [view.name for view in spread_views(scene, 9).views] == ["v0", "v1", "v2", "v3"]
 
 
 def test_no_admissible_view_is_an_error() -> None:

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 from recon3d.carving.generalized import generalized_voxel_coloring
 from recon3d.carving.photo_hull import Label, PhotoHull
-from recon3d.carving.visibility import SweepDirection, largest_admissible_views, sweep_direction
+from recon3d.carving.visibility import SweepDirection, largest_admissible_views, spread_views, sweep_direction
 from recon3d.carving.visual_hull import visual_hull
 from recon3d.carving.vote_carving import vote_carving
 from recon3d.carving.voxel_coloring import voxel_coloring
@@ -17,12 +17,14 @@ class Method(NamedTuple):
     carve: Callable[..., PhotoHull]
     one_sided: bool = False
     """Whether the views must satisfy the ordinal visibility constraint."""
+    uses_test: bool = True
+    """Whether a photo-consistency test decides."""
 
 
 METHODS: dict[str, Method] = {
-    "visual-hull": Method(visual_hull),
+    "visual-hull": Method(visual_hull, uses_test=False),
     "generalized-voxel-coloring": Method(generalized_voxel_coloring),
-    "vote-carving": Method(vote_carving),
+    "vote-carving": Method(vote_carving, uses_test=False),
     "voxel-coloring": Method(voxel_coloring, one_sided=True),
 }
 
@@ -34,6 +36,7 @@ __all__ = [
     "SweepDirection",
     "generalized_voxel_coloring",
     "largest_admissible_views",
+    "spread_views",
     "sweep_direction",
     "visual_hull",
     "vote_carving",

@@ -50,16 +50,23 @@ def sweep_direction(centers: NDArray[np.float64], corners: NDArray[np.float64]) 
     return SweepDirection(direction, margin) if margin > 1e-9 * scale else None
 
 
-def largest_admissible_views(scene: Scene, limit: int | None = None) -> list[str]:
+def spread_views(scene: Scene, count: int) -> Scene:
+    """At most so many views of a scene: leaves out, one by one, the view whose camera is nearest to another's."""
+    views = list(scene.views)
+    while len(views) > max(count, 1):
+        centers = np.array([view.center for view in views])
+        gaps = np.linalg.norm(centers[:, None] - centers, axis=2)
+        gaps[np.diag_indices(len(views))] = np.inf
+        views.pop(int(gaps.min(axis=1).argmin()))
+    return replace(scene, views=tuple(views))
+
+
+def largest_admissible_views(scene: Scene) -> list[str]:
     """Names of the largest subset of views that satisfies the ordinal visibility constraint, in scene order.
 
     Every set of cameras that some direction separates from the volume contains a direction next to the crossing of
     two limits (planes through the origin normal to corner - centre), so trying those finds the largest. Among equal
     ones the widest margin wins.
-
-    Parameters
-    ----------
-    limit : keep at most this many, leaving out first the views nearest to another one.
 
     Raises
     ------
@@ -81,12 +88,7 @@ def largest_admissible_views(scene: Scene, limit: int | None = None) -> list[str
             break
     if best is None:
         raise VisibilityError(f"scene {scene.name}: no single view satisfies the ordinal visibility constraint")
-    chosen = list(np.flatnonzero(best[1]))
-    while limit is not None and len(chosen) > max(limit, 1):
-        gaps = np.linalg.norm(centers[chosen][:, None] - centers[chosen], axis=2)
-        gaps[np.diag_indices(len(chosen))] = np.inf
-        chosen.pop(int(np.sort(gaps, axis=1)[:, 0].argmin()))
-    return [scene.views[n].name for n in chosen]
+    return [scene.views[n].name for n in np.flatnonzero(best[1])]
 
 
 def require_sweep_direction(scene: Scene, bounds: o3d.geometry.AxisAlignedBoundingBox) -> SweepDirection:

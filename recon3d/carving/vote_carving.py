@@ -38,13 +38,17 @@ class _Round:
     """Between tried depths, pixel footprints."""
     prior: float
     """Weight of the vote for solid that every voxel starts with; a clear match weighs up to one."""
+    radius: int
+    """Of the windows, pixels."""
+    spacing: int
+    """Between compared pixels of a window."""
     margin: float
     """Voxels that this pass leaves in front of the surface it found."""
 
 
 _ROUNDS = (
-    _Round(stride=4, reach=1.0, step=2.5, prior=0.3, margin=1.5),  # find the cavities
-    _Round(stride=2, reach=0.1, step=1.25, prior=0.05, margin=0.0),  # find the surface
+    _Round(stride=4, reach=1.0, step=2.5, prior=0.3, radius=4, spacing=2, margin=1.5),  # find the cavities
+    _Round(stride=2, reach=0.1, step=1.25, prior=0.05, radius=2, spacing=1, margin=0.0),  # find the surface
 )
 
 
@@ -53,7 +57,6 @@ def vote_carving(
     volume: CarvingVolume,
     test: ConsistencyTest | None = None,  # noqa: ARG001 # methods are called alike
     *,
-    radius: int = 5,
     min_score: float = 0.6,
     truncation: float = 4.0,
     progress: Progress | None = None,
@@ -72,7 +75,6 @@ def vote_carving(
     Parameters
     ----------
     test : not used; windows are compared by normalised cross-correlation.
-    radius : of the windows, pixels; every second pixel is compared.
     min_score : mean of the two best correlations that counts as a match, in (-1, 1).
     truncation : voxels before and behind a depth within which it is evidence for the surface's exact place.
 
@@ -93,16 +95,14 @@ def vote_carving(
     photo-consistency", PAMI 2007 (votes along rays). Curless, Levoy, "A volumetric method for building complex models
     from range images", SIGGRAPH 1996 (truncated signed distances).
     """
-    if radius < 1 or not -1 < min_score < 1 or not truncation > 0:
-        raise ValueError(
-            f"expected radius >= 1, min_score in (-1, 1) and truncation > 0, got {radius}, {min_score}, {truncation}"
-        )
+    if not -1 < min_score < 1 or not truncation > 0:
+        raise ValueError(f"expected min_score in (-1, 1) and truncation > 0, got {min_score} and {truncation}")
     neighbours = matching_neighbours(scene)
     views = ViewArrays(scene)
     hull_field = hull_distance(scene, volume)
     inside_hull = volume.occupied & (hull_field > 0)
     field = np.where(volume.occupied, hull_field, np.minimum(hull_field, -volume.voxel_size))
-    matcher = _Matcher(scene, volume, views, neighbours, radius, min_score)
+    matcher = _Matcher(scene, volume, views, neighbours, min_score)
     for n, settings in enumerate(_ROUNDS):
         buffer = ItemBuffer(views, volume)
         buffer.advance(field > 0)
@@ -157,7 +157,6 @@ class _Matcher:
     volume: CarvingVolume
     views: ViewArrays
     neighbours: list[list[int]]
-    radius: int
     min_score: float
 
     def depth_maps(self, buffer: ItemBuffer, settings: _Round) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
@@ -180,7 +179,8 @@ class _Matcher:
                     grey[n], grey[others], views.sizes[others],
                     P[:, :, :3] @ views.world_from_pixel[n], P[:, :, :3] @ views.centers[n] + P[:, :, 3],
                     settings.stride * np.column_stack([columns, rows]), entry - 1.5 * size, entry + reach,
-                    settings.step * self.scene.pixel_footprint, self.radius, 2, MIN_DEVIATION, found, score,
+                    settings.step * self.scene.pixel_footprint, settings.radius, settings.spacing, MIN_DEVIATION,
+                    found, score,
                 )  # fmt: skip
             good = score > self.min_score
             depths[n, rows[good], columns[good]] = found[good]

@@ -1,0 +1,267 @@
+"""The visual hull, the item buffer, and carving under exact visibility."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numba
+import numpy as np
+import open3d as o3d
+import pytest
+from numpy.typing import NDArray
+from scenes import ball_mesh, cameras, photographs
+
+from recon3d.carving import Label, generalized_voxel_coloring, visual_hull, vote_carving
+from recon3d.carving.item_buffer import ItemBuffer
+from recon3d.carving.views import ViewArrays
+from recon3d.carving.visual_hull import hull_distance, outline_distance
+from recon3d.carving.vote_carving import matching_neighbours
+from recon3d.consistency import Patches, StandardDeviation, Verdict
+from recon3d.datasets.synthetic import BuiltInScene, little_temple
+from recon3d.errors import EmptyReconstructionError, SceneError
+from recon3d.evaluation import distance_to_mesh, evaluate
+from recon3d.rendering import count_seeing_views, pixel_rays, without_unseen
+from recon3d.scene import Scene, View, make_bounds
+from recon3d.silhouettes import without_silhouettes
+from recon3d.surface import mesh_volume
+from recon3d.volume import CarvingVolume
+
+
+@pytest.fixture(scope="module")
+def ball() -> Scene:
+    return photographs(ball_mesh(), taken_by=cameras(12, arc=360.0, width=96, height=72), supersampling=2)
+
+
+def volume_of(scene: Scene, n_voxels: int) -> CarvingVolume:
+    return CarvingVolume.enclosing(scene.bounds, n_voxels=n_voxels)
+
+
+def test_the_outline_lies_half_a_pixel_beside_the_pixels() -> None:
+    mask = np.zeros((40, 40), np.bool_)
+    mask[:, :20] = True
+    distance = outline_distance(mask)
+    np.testing.assert_allclose(distance[20, 15:25], 19.5 - np.arange(15, 25), atol=1e-3)
+
+
+def test_an_outline_at_the_image_border_says_nothing_of_what_lies_beyond() -> None:
+    assert (outline_distance(np.ones((8, 9), np.bool_)) > 0).all()
+    assert (outline_distance(np.zeros((8, 9), np.bool_)) < 0).all()
+
+
+def test_the_visual_hull_holds_the_object(temple: BuiltInScene) -> None:
+    volume = volume_of(temple.scene, 100_000)
+    field = hull_distance(temple.scene, volume)
+    # Silhouettes hold every pixel that shows any of the object, and are blurred by a pixel: at most that is cut off.
+    points = np.asarray(temple.ground_truth.sample_points_uniformly(5000).points)
+    index = tuple(np.clip(((points - volume.origin) / volume.voxel_size).astype(int), 0, np.array(volume.shape) - 1).T)
+    slack = volume.voxel_size * np.sqrt(3) / 2 + temple.scene.pixel_footprint
+    assert field[index].min() > -slack
+
+
+def test_more_views_leave_less(temple: BuiltInScene) -> None:
+    scene = temple.scene
+    volume = volume_of(scene, 50_000)
+    few = visual_hull(replace(scene, views=scene.views[:3]), volume).solid.occupied
+    more = visual_hull(scene, volume).solid.occupied
+    assert (more <= few).all()
+    assert more.sum() < few.sum()
+
+
+def test_the_hull_of_a_ball_is_round_to_a_fraction_of_a_voxel(ball: Scene) -> None:
+    volume = volume_of(ball, 30_000)
+    hull = visual_hull(ball, volume)
+    mesh = mesh_volume(hull.solid, distance=hull.distance, smoothing=0)
+    blocky = mesh_volume(hull.solid, smoothing=0)
+    seen = [np.linalg.norm(np.asarray(m.vertices), axis=1)[count_seeing_views(m, ball) >= 3] for m in (mesh, blocky)]
+    # The hull of twelve cones is itself not quite a ball.
+    assert seen[0].std() < 0.2 * volume.voxel_size
+    assert seen[0].std() < 0.7 * seen[1].std()
+
+
+def test_a_wrong_silhouette_is_tolerated(temple: BuiltInScene) -> None:
+    scene = temple.scene
+    view = scene.views[0]
+    broken = replace(view, silhouette=np.zeros((view.height, view.width), np.bool_))
+    wrong = replace(scene, views=(broken, *scene.views[1:]))
+    volume = volume_of(scene, 30_000)
+    with pytest.raises(EmptyReconstructionError, match=r"view01\.png alone leaves 0\.0%"):
+        visual_hull(wrong, volume)
+    assert visual_hull(wrong, volume, tolerance=1).solid.n_occupied >= visual_hull(scene, volume).solid.n_occupied
+    with pytest.raises(ValueError, match="expected a tolerance of 0 to 7"):
+        visual_hull(scene, volume, tolerance=8)
+
+
+def test_no_silhouettes_is_a_clear_error(temple: BuiltInScene) -> None:
+    scene = without_silhouettes(temple.scene)
+    for method in (visual_hull, vote_carving):
+        with pytest.raises(SceneError, match="needs silhouettes"):
+            method(scene, volume_of(scene, 5000))
+
+
+def test_what_lies_outside_an_image_is_unknown(temple: BuiltInScene) -> None:
+    scene = temple.scene
+    view = scene.views[0]
+    assert view.silhouette is not None
+    half = view.width // 2
+    cropped = View.from_matrices(
+        view.K,
+        view.cam_from_world,
+        view.image[:, :half].copy(),
+        silhouette=view.silhouette[:, :half].copy(),
+        name="half",
+    )
+    volume = volume_of(scene, 20_000)
+    alone = visual_hull(replace(scene, views=(cropped,)), volume)
+    beyond = volume.centers()[:, :]
+    pixels, _ = view.project(beyond)
+    outside = (pixels[:, 0] > half).reshape(volume.shape)
+    assert alone.solid.occupied[outside].all()
+
+
+def brute_force_items(scene: Scene, volume: CarvingVolume, occupied: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """First occupied voxel of each foreground pixel's ray by slab tests against every occupied voxel."""
+    voxels = np.argwhere(occupied)
+    low = volume.origin + voxels * volume.voxel_size
+    flat = np.ravel_multi_index(tuple(voxels.T), volume.shape)
+    answer = []
+    for view in scene.views:
+        center, rays = pixel_rays(view.K, view.cam_from_world, view.width, view.height)
+        items = np.full((view.height, view.width), -1)
+        for row, column in np.argwhere(view.silhouette):
+            with np.errstate(divide="ignore"):
+                a = (low - center) / rays[row, column]
+                b = (low + volume.voxel_size - center) / rays[row, column]
+            near, far = np.minimum(a, b).max(axis=1), np.maximum(a, b).min(axis=1)
+            hit = np.flatnonzero(near < far)
+            if len(hit):
+                items[row, column] = flat[hit[near[hit].argmin()]]
+        answer.append(items)
+    return np.stack(answer)
+
+
+def test_the_item_buffer_is_brute_force_ray_casting_after_every_round() -> None:
+    scene = little_temple(n_views=3, width=32, height=24).scene
+    volume = volume_of(scene, 2000)
+    buffer = ItemBuffer(ViewArrays(scene), volume)
+    occupied = np.ones(volume.shape, np.bool_)
+    rng = np.random.default_rng(3)
+    for _ in range(4):
+        newly = buffer.advance(occupied)
+        np.testing.assert_array_equal(buffer.items, brute_force_items(scene, volume, occupied))
+        assert occupied.ravel()[newly].all()
+        visible = buffer.visible()
+        occupied.ravel()[rng.choice(visible, len(visible) // 2, replace=False)] = False
+
+
+def test_patches_of_the_item_buffer_are_the_pixels_that_see_the_voxel() -> None:
+    scene = little_temple(n_views=3, width=48, height=36).scene
+    volume = volume_of(scene, 2000)
+    buffer = ItemBuffer(ViewArrays(scene), volume)
+    buffer.advance(np.ones(volume.shape, np.bool_))
+    visible = buffer.visible()
+    patches = buffer.patches(visible)
+    for n in range(0, len(visible), 7):
+        for j, view in enumerate(scene.views):
+            expected = view.image[buffer.items[j] == visible[n]]
+            found = patches.colors[patches.view_starts[n, j] : patches.view_starts[n, j + 1]]
+            np.testing.assert_array_equal(found, expected)
+
+
+def test_a_camera_inside_the_volume_sees_from_its_own_voxel_on() -> None:
+    scene = little_temple(n_views=2, width=32, height=24).scene
+    center = scene.views[0].center
+    wide = replace(scene, bounds=make_bounds(np.minimum(scene.bounds.min_bound, center - 0.05), center + 0.05))
+    volume = volume_of(wide, 3000)
+    buffer = ItemBuffer(ViewArrays(wide), volume)
+    buffer.advance(np.ones(volume.shape, np.bool_))
+    own = np.ravel_multi_index(tuple(((center - volume.origin) / volume.voxel_size).astype(int)), volume.shape)
+    assert (buffer.items[0][wide.views[0].silhouette] == own).all()
+
+
+def test_the_photo_hull_lies_between_the_object_and_the_visual_hull(temple: BuiltInScene) -> None:
+    scene = temple.scene
+    volume = volume_of(scene, 60_000)
+    hull = visual_hull(scene, volume)
+    carved = generalized_voxel_coloring(scene, volume, StandardDeviation(threshold=70))
+    assert (carved.solid.occupied <= hull.solid.occupied).all()
+    # A voxel wholly inside the object is never visible, so nothing can carve it.
+    depth = distance_to_mesh(volume.centers(), temple.ground_truth).reshape(volume.shape)
+    deep = hull.solid.occupied & (depth > 2.5 * volume.voxel_size) & _inside(temple, volume)
+    assert deep.any()
+    assert carved.solid.occupied[deep].all()
+
+
+def _inside(temple: BuiltInScene, volume: CarvingVolume) -> NDArray[np.bool_]:
+    caster = o3d.t.geometry.RaycastingScene()
+    caster.add_triangles(o3d.t.geometry.TriangleMesh.from_legacy(temple.ground_truth))
+    points = o3d.core.Tensor.from_numpy(volume.centers().astype(np.float32))
+    return (caster.compute_occupancy(points).numpy() > 0).reshape(volume.shape)
+
+
+def test_carving_ends_when_every_visible_voxel_is_connected_to_a_consistent_one(temple: BuiltInScene) -> None:
+    hull = generalized_voxel_coloring(temple.scene, volume_of(temple.scene, 30_000), StandardDeviation(threshold=25))
+    visible = hull.labels == Label.CONSISTENT
+    assert visible.any()
+    assert (hull.degree[visible] >= 1 - 25 / 127.5 - 1e-6).all()  # one threshold: no candidates
+    assert (hull.labels == Label.INCONSISTENT).sum() > 100
+
+
+def test_a_test_that_carves_everything_ends_in_a_clear_error(temple: BuiltInScene) -> None:
+    def never(patches: Patches) -> Verdict:
+        zero = np.zeros(patches.n_voxels)
+        return Verdict(zero, zero + 0.5, zero + 0.5)
+
+    with pytest.raises(EmptyReconstructionError, match="carved all"):
+        generalized_voxel_coloring(temple.scene, volume_of(temple.scene, 3000), never)
+
+
+@pytest.mark.parametrize("method", [visual_hull, generalized_voxel_coloring, vote_carving])
+def test_one_thread_equals_two(method: object, temple: BuiltInScene) -> None:
+    volume = volume_of(temple.scene, 30_000)
+    results = []
+    threads = numba.get_num_threads()
+    for count in (1, threads):
+        numba.set_num_threads(count)
+        results.append(method(temple.scene, volume))  # type: ignore[operator]
+    np.testing.assert_array_equal(results[0].labels, results[1].labels)
+    np.testing.assert_array_equal(results[0].volume.colors, results[1].volume.colors)
+
+
+def test_votes_make_the_hull_better_and_never_larger() -> None:
+    built_in = little_temple(width=320, height=240, noise=3, light_change=0.05)
+    scene = built_in.scene
+    volume = volume_of(scene, 300_000)
+    hull, voted = visual_hull(scene, volume), vote_carving(scene, volume)
+    assert (voted.solid.occupied <= hull.solid.occupied).all()
+    before, after = (
+        evaluate(mesh_volume(h.solid, distance=h.distance), built_in.ground_truth, spacing=5e-4) for h in (hull, voted)
+    )
+    assert after.accuracy_mm < before.accuracy_mm
+    assert after.completeness_percent > before.completeness_percent + 5
+
+
+def test_views_that_cannot_be_matched_are_refused(temple: BuiltInScene) -> None:
+    lone = replace(temple.scene, views=temple.scene.views[:1])
+    with pytest.raises(SceneError, match="no two views lie 5 to 60 degrees apart"):
+        vote_carving(lone, volume_of(lone, 3000))
+
+
+def test_nearly_equal_cameras_count_as_one_neighbour(temple: BuiltInScene) -> None:
+    scene = temple.scene
+    twin = replace(scene.views[1], name="twin")
+    neighbours = matching_neighbours(replace(scene, views=(*scene.views, twin)))
+    assert 1 in neighbours[0] or len(scene.views) in neighbours[0]
+    assert not {1, len(scene.views)} <= set(neighbours[0])
+
+
+def test_without_unseen_leaves_what_some_view_sees(temple: BuiltInScene) -> None:
+    mesh = temple.ground_truth.subdivide_midpoint(2)
+    part = without_unseen(mesh, temple.scene)
+    assert 0 < len(part.triangles) < len(mesh.triangles)
+    assert (count_seeing_views(part, temple.scene) > 0).all()
+
+    def underside(shape: o3d.geometry.TriangleMesh) -> int:
+        return int((np.asarray(shape.vertices)[np.asarray(shape.triangles)][:, :, 2].max(axis=1) < 1e-6).sum())
+
+    # Seen from nowhere above, but for slivers whose corners all lie on its rim.
+    assert underside(part) < 0.05 * underside(mesh)
