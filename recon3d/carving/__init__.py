@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 from recon3d.carving.generalized import generalized_voxel_coloring
 from recon3d.carving.photo_hull import Label, PhotoHull
+from recon3d.carving.space_carving import space_carving
 from recon3d.carving.visibility import SweepDirection, largest_admissible_views, sweep_direction
 from recon3d.carving.visual_hull import visual_hull
 from recon3d.carving.vote_carving import vote_carving
@@ -24,6 +25,7 @@ METHODS: dict[str, Method] = {
     "generalized-voxel-coloring": Method(generalized_voxel_coloring),
     "vote-carving": Method(vote_carving),
     "voxel-coloring": Method(voxel_coloring, one_sided=True),
+    "space-carving": Method(space_carving),
 }
 
 __all__ = [
@@ -34,6 +36,7 @@ __all__ = [
     "SweepDirection",
     "generalized_voxel_coloring",
     "largest_admissible_views",
+    "space_carving",
     "sweep_direction",
     "visual_hull",
     "vote_carving",
