@@ -6,6 +6,7 @@ from typing import NamedTuple
 from recon3d.carving.generalized import generalized_voxel_coloring
 from recon3d.carving.photo_hull import Label, PhotoHull
 from recon3d.carving.probabilistic import probabilistic_space_carving
+from recon3d.carving.roxels import roxels
 from recon3d.carving.space_carving import space_carving
 from recon3d.carving.visibility import SweepDirection, largest_admissible_views, sweep_direction
 from recon3d.carving.visual_hull import visual_hull
@@ -28,6 +29,7 @@ METHODS: dict[str, Method] = {
     "voxel-coloring": Method(voxel_coloring, one_sided=True),
     "space-carving": Method(space_carving),
     "probabilistic-space-carving": Method(probabilistic_space_carving),
+    "roxels": Method(roxels),
 }
 
 __all__ = [
@@ -39,6 +41,7 @@ __all__ = [
     "generalized_voxel_coloring",
     "largest_admissible_views",
     "probabilistic_space_carving",
+    "roxels",
     "space_carving",
     "sweep_direction",
     "visual_hull",
