@@ -1,5 +1,14 @@
 from ._version import __version__ as __version__
-from .carving import METHODS, Label, PhotoHull, largest_admissible_views, voxel_coloring
+from .carving import (
+    METHODS,
+    Label,
+    PhotoHull,
+    largest_admissible_views,
+    probabilistic_space_carving,
+    roxels,
+    space_carving,
+    voxel_coloring,
+)
 from .consistency import (
     TESTS,
     ConsistencyTest,
@@ -74,13 +83,16 @@ __all__ = [
     "mesh_volume",
     "open_scene",
     "plot_evaluation",
+    "probabilistic_space_carving",
     "read_geometry",
     "read_mesh",
     "read_middlebury",
     "reconstruct",
+    "roxels",
     "save_evaluation",
     "save_pictures",
     "show_mesh",
+    "space_carving",
     "surface_points",
     "triangles_near",
     "turntable",

@@ -76,7 +76,7 @@ def probabilistic_space_carving(
     The sum over sets is taken by which view is the first in S; after it each view's factor uses the mean of the
     colours so far (assumed density filtering), exact where every w_j is 0 or 1.
 
-    Needs 12 bytes a voxel that the silhouettes leave, and 8 more for each view.
+    Needs 4 bytes a voxel of the volume, 28 a voxel that the silhouettes leave, and for each of these 8 more a view.
 
     References
     ----------

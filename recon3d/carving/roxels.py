@@ -72,7 +72,10 @@ def roxels(
     A pixel is the mean colour of the voxel's footprint, on the ray through the voxel's centre. Where one surface is
     seen through another, the model explains the mixed colour by either, not by their sum.
 
-    Needs 40 bytes a voxel that the silhouettes leave, 8 more for each view, and 16 a voxel of the volume.
+    Needs 16 bytes a voxel of the volume, 40 a voxel that the silhouettes leave, and for each of these 8 more a view.
+
+    The accepted voxels are a thick shell, since a surface shares its opacity with what lies just behind; for a mesh
+    take ``solid``.
 
     References
     ----------

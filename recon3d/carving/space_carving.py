@@ -72,7 +72,7 @@ def space_carving(
     voxel or two. Voxels without an empty face neighbour are not visible. What the pixels of the other sweeps show is
     known from their latest run, which never shows more than there is to see, since voxels are only ever removed.
 
-    Needs 5 bytes a pixel and view, and a layer's pixels, beside the images and ``PhotoHull``'s 10 bytes a voxel.
+    Needs 5 bytes a pixel and view, and a layer's pixels, beside the images and ``PhotoHull``'s 11 bytes a voxel.
 
     References
     ----------
