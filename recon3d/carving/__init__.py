@@ -5,6 +5,9 @@ from typing import NamedTuple
 
 from recon3d.carving.generalized import generalized_voxel_coloring
 from recon3d.carving.photo_hull import Label, PhotoHull
+from recon3d.carving.probabilistic import probabilistic_space_carving
+from recon3d.carving.roxels import roxels
+from recon3d.carving.space_carving import space_carving
 from recon3d.carving.visibility import SweepDirection, largest_admissible_views, spread_views, sweep_direction
 from recon3d.carving.visual_hull import visual_hull
 from recon3d.carving.vote_carving import vote_carving
@@ -26,6 +29,9 @@ METHODS: dict[str, Method] = {
     "generalized-voxel-coloring": Method(generalized_voxel_coloring),
     "vote-carving": Method(vote_carving, uses_test=False),
     "voxel-coloring": Method(voxel_coloring, one_sided=True),
+    "space-carving": Method(space_carving),
+    "probabilistic-space-carving": Method(probabilistic_space_carving, uses_test=False),
+    "roxels": Method(roxels, uses_test=False),
 }
 
 __all__ = [
@@ -36,6 +42,9 @@ __all__ = [
     "SweepDirection",
     "generalized_voxel_coloring",
     "largest_admissible_views",
+    "probabilistic_space_carving",
+    "roxels",
+    "space_carving",
     "spread_views",
     "sweep_direction",
     "visual_hull",
