@@ -10,8 +10,9 @@ import open3d as o3d
 import pytest
 from numpy.typing import NDArray
 from scenes import ball_mesh, cameras, photographs
+from scipy.spatial import cKDTree
 
-from recon3d.carving import Label, generalized_voxel_coloring, visual_hull, vote_carving
+from recon3d.carving import Label, generalized_voxel_coloring, visual_hull, vote_carving, voxel_coloring
 from recon3d.carving.item_buffer import ItemBuffer
 from recon3d.carving.views import ViewArrays
 from recon3d.carving.visual_hull import hull_distance, outline_distance
@@ -265,3 +266,49 @@ def test_without_unseen_leaves_what_some_view_sees(temple: BuiltInScene) -> None
 
     # Seen from nowhere above, but for slivers whose corners all lie on its rim.
     assert underside(part) < 0.05 * underside(mesh)
+
+
+def test_open3ds_own_carving_agrees_but_for_a_margin(temple: BuiltInScene) -> None:
+    # Open3D keeps a voxel where the mask is above 0 at any of its corners: up to a voxel and a pixel more than ours.
+    scene = temple.scene
+    volume = volume_of(scene, 20_000)
+    grid = volume.to_voxel_grid()
+    for view in scene.views:
+        assert view.silhouette is not None
+        mask = o3d.geometry.Image(view.silhouette.astype(np.float32))
+        grid.carve_silhouette(mask, view.camera, True)
+    kept = CarvingVolume.from_voxel_grid(grid, shape=volume.shape).occupied
+    field = hull_distance(scene, volume)
+    margin = np.sqrt(3) / 2 * volume.voxel_size + 1.5 * scene.pixel_footprint
+    assert kept[field > 0].all()
+    assert not kept[field < -margin].any()
+    assert (field < -margin).sum() > 1000
+
+
+def test_both_voxel_colourings_agree_where_both_apply(temple: BuiltInScene) -> None:
+    # They differ in what a voxel sees: its footprint's box, or the rays that hit it.
+    volume = volume_of(temple.scene, 60_000)
+    test = StandardDeviation(threshold=60)
+    first, second = (carve(temple.scene, volume, test) for carve in (voxel_coloring, generalized_voxel_coloring))
+    for a, b in ((first, second), (second, first)):
+        distance, _ = cKDTree(b.volume.centers()).query(a.volume.centers())
+        assert (distance < 1.8 * volume.voxel_size).mean() > 0.85
+
+
+def test_what_a_monotone_test_accepts_is_never_carved(temple: BuiltInScene) -> None:
+    def in_range(patches: Patches) -> Verdict:
+        grey = patches.colors.mean(axis=1)
+        spread = np.zeros(patches.n_voxels)
+        if patches.n_voxels:
+            first = patches.starts[:-1]
+            spread = np.maximum.reduceat(grey, first) - np.minimum.reduceat(grey, first)
+        limit = np.full(patches.n_voxels, 1 - 120 / 255)
+        return Verdict(1 - spread / 255, limit, limit)
+
+    volume = volume_of(temple.scene, 30_000)
+    carved = generalized_voxel_coloring(temple.scene, volume, in_range)
+    kept = (carved.labels == Label.CONSISTENT) | (carved.labels == Label.HIDDEN)
+    # Carving more than the photo hull would break the largest set that is consistent: carving it again changes nothing.
+    again = generalized_voxel_coloring(temple.scene, volume.with_occupancy(kept), in_range)
+    np.testing.assert_array_equal(again.solid.occupied, carved.solid.occupied)
+    assert kept.sum() < visual_hull(temple.scene, volume).solid.n_occupied
