@@ -41,7 +41,6 @@ from .io import (
 )
 from .pipeline import (
     Reconstruction,
-    Settings,
     evaluate_files,
     reconstruct,
     save_error_maps,
@@ -49,6 +48,7 @@ from .pipeline import (
 )
 from .rendering import Renderer, Rendering, comparison_sheet, count_seeing_views, turntable, without_unseen
 from .scene import Scene, View, make_bounds
+from .settings import Settings
 from .silhouettes import (
     with_mask_files,
     with_segmented_silhouettes,

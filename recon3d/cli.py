@@ -2,28 +2,18 @@
 
 from __future__ import annotations
 
-import ast
 import sys
 import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from recon3d._version import __version__
 from recon3d.errors import Recon3dError
-
-if TYPE_CHECKING:  # Open3D takes seconds to import, --help should not
-    import open3d as o3d
-
-    from recon3d.consistency import ConsistencyTest
-    from recon3d.datasets import BuiltInScene
-    from recon3d.pipeline import Progress, Reconstruction, Settings
-    from recon3d.scene import Scene
+from recon3d.terminal import beside, keywords, load, make_test, mesh_of, photograph, progress, run, save, say
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -85,17 +75,17 @@ def demo(
 ) -> None:
     """Photograph the built-in little temple, reconstruct, measure and render it."""
     from recon3d.io import write_geometry, write_middlebury
-    from recon3d.pipeline import Settings
+    from recon3d.settings import Settings
 
     folder = output or Path("recon3d-output/demo")
-    built_in = _photograph("little-temple", noise=noise, light_change=light_change)
+    built_in = photograph("little-temple", noise=noise, light_change=light_change)
     photographs = write_middlebury(built_in.scene, folder / "photographs")
     scene = replace(built_in.scene, notes={"format": "Middlebury", "source": str(photographs.resolve())})
     truth = write_geometry(folder / "ground_truth.ply", built_in.ground_truth)
-    result = _run(scene, Settings(n_voxels=n_voxels), built_in.ground_truth)
-    written = _save(result, folder, ["ply"])
-    _say(result.summary())
-    _say({"photographs": photographs, "ground truth": truth, **written})
+    result = run(scene, Settings(n_voxels=n_voxels), built_in.ground_truth)
+    written = save(result, folder, ["ply"])
+    say(result.summary())
+    say({"photographs": photographs, "ground truth": truth, **written})
 
 
 @app.command()
@@ -112,11 +102,11 @@ def info(
     from recon3d.io.files import write_image
     from recon3d.silhouettes import overlay
 
-    loaded = _load(scene, bounds, silhouettes)
+    loaded = load(scene, bounds, silhouettes)
     admissible = largest_admissible_views(loaded)
     angles = read_angles(scene) if Path(scene).is_dir() else {}
-    _say(loaded.summary())
-    _say({"views for voxel colouring": f"{len(admissible)} of {len(loaded.views)} (ordinal visibility constraint)"})
+    say(loaded.summary())
+    say({"views for voxel colouring": f"{len(admissible)} of {len(loaded.views)} (ordinal visibility constraint)"})
     typer.echo()
     for view in loaded.views:
         angle = "lat {:.1f} lon {:.1f}".format(*angles[view.name]) if view.name in angles else ""
@@ -125,7 +115,7 @@ def info(
         typer.echo(f"  {view.name:24} {use:6} {known:14} {angle}".rstrip())
     if output:
         sheet = thumbnails([overlay(loaded, view) for view in loaded.views], width=320, columns=4)
-        _say({"silhouettes and bounds": write_image(output / "views.png", sheet)})
+        say({"silhouettes and bounds": write_image(output / "views.png", sheet)})
 
 
 @app.command()
@@ -167,7 +157,7 @@ def reconstruct(
 ) -> None:
     """Reconstruct a coloured mesh, points and voxels from calibrated photographs."""
     from recon3d.io import read_mesh
-    from recon3d.pipeline import Settings
+    from recon3d.settings import Settings
 
     chosen_views: Any = views if views in ("auto", "all") else tuple(views.split(","))
     size: dict[str, Any] = {} if n_voxels is None else {"n_voxels": n_voxels}
@@ -175,20 +165,20 @@ def reconstruct(
         **size,
         voxel_size=voxel_size,
         method=method,
-        method_options=_keywords(method_option or []),
-        test=_make_test(test, test_option or []) if test or test_option else None,
+        method_options=keywords(method_option or []),
+        test=make_test(test, test_option or []) if test or test_option else None,
         views=chosen_views,
         max_views=max_views,
         fill_hidden=fill_hidden,
         keep_unseen=keep_unseen,
     )
     truth = read_mesh(ground_truth) if ground_truth else None
-    loaded = _load(scene, bounds, silhouettes, mm_per_unit)
-    result = _run(loaded, settings, truth)
+    loaded = load(scene, bounds, silhouettes, mm_per_unit)
+    result = run(loaded, settings, truth)
     folder = output or Path("recon3d-output") / loaded.name
-    written = _save(result, folder, [name.value for name in mesh_format or [MeshFormat.ply]], pictures=pictures)
-    _say(result.summary())
-    _say(written)
+    written = save(result, folder, [name.value for name in mesh_format or [MeshFormat.ply]], pictures=pictures)
+    say(result.summary())
+    say(written)
 
 
 @app.command()
@@ -214,10 +204,10 @@ def evaluate(
     from recon3d.io import read_geometry
     from recon3d.pipeline import evaluate_files, save_error_maps
 
-    with _progress() as report:
+    with progress() as report:
         report("measuring", 0, 1)
         measured = evaluate_files(
-            _mesh_of(reconstruction),
+            mesh_of(reconstruction),
             ground_truth,
             real=real,
             real_within_mm=real_within,
@@ -227,16 +217,16 @@ def evaluate(
             seed=seed,
         )
         report("measuring", 1, 1)
-    folder = output or _beside(reconstruction, "evaluation")
+    folder = output or beside(reconstruction, "evaluation")
     written = save_evaluation(measured, folder)
-    files = _mesh_of(reconstruction), ground_truth
+    files = mesh_of(reconstruction), ground_truth
     if all(isinstance(read_geometry(file), TriangleMesh) for file in files):
-        with _progress() as report:
+        with progress() as report:
             report("error maps", 0, 1)
             written |= save_error_maps(*files, folder, mm_per_unit=mm_per_unit, full_scale_mm=error_scale)
             report("error maps", 1, 1)
-    _say(measured.summary())
-    _say(written)
+    say(measured.summary())
+    say(written)
 
 
 @app.command()
@@ -253,7 +243,7 @@ def render(
     from recon3d.io import read_mesh
     from recon3d.pipeline import save_pictures
 
-    mesh = read_mesh(_mesh_of(result))
+    mesh = read_mesh(mesh_of(result))
     record_file = (result if result.is_dir() else result.parent) / "record.json"
     names: list[str] | None = None
     if scene is None:
@@ -263,13 +253,13 @@ def render(
         scene, names = record["scene"].get("source"), record["scene"]["views"]
         if scene is None:
             raise Recon3dError(f"{record_file} does not say where the scene is; give --scene")
-    loaded = _load(scene, None, "none")
+    loaded = load(scene, None, "none")
     loaded = loaded.subset(names) if names else loaded
-    with _progress() as report:
+    with progress() as report:
         report("rendering", 0, 1)
-        written = save_pictures(mesh, loaded, output or _beside(result, "renders"), every_view=True)
+        written = save_pictures(mesh, loaded, output or beside(result, "renders"), every_view=True)
         report("rendering", 1, 1)
-    _say(written)
+    say(written)
 
 
 def main() -> None:
@@ -285,121 +275,6 @@ def main() -> None:
             raise
         typer.echo(f"Error: {error}", err=True)
         sys.exit(1)
-
-
-def _load(scene: str, bounds: str | None, silhouettes: str, mm_per_unit: float = 1000.0) -> Scene:
-    """Scene of a folder or of a built-in name."""
-    from recon3d.datasets import SCENES
-    from recon3d.io import open_scene
-    from recon3d.scene import make_bounds
-
-    if scene in SCENES and not Path(scene).exists():
-        return _photograph(scene).scene
-    box = None
-    if bounds is not None:
-        try:
-            numbers = [float(number) for number in bounds.split(",")]
-        except ValueError:
-            numbers = []
-        if len(numbers) != 6:
-            raise ValueError(f"--bounds: expected six numbers X0,Y0,Z0,X1,Y1,Z1, got {bounds!r}")
-        box = make_bounds(numbers[:3], numbers[3:])
-    with _progress() as report:
-        report("reading", 0, 1)
-        loaded = open_scene(scene, bounds=box, silhouettes=silhouettes, mm_per_unit=mm_per_unit)
-        report("reading", 1, 1)
-    return loaded
-
-
-def _photograph(name: str, **options: Any) -> BuiltInScene:
-    """Built-in scene of a name."""
-    from recon3d.datasets import SCENES
-
-    with _progress() as report:
-        report("photographing", 0, 1)
-        built_in = SCENES[name](**options)
-        report("photographing", 1, 1)
-    return built_in
-
-
-def _run(scene: Scene, settings: Settings, ground_truth: o3d.geometry.TriangleMesh | None) -> Reconstruction:
-    from recon3d.pipeline import reconstruct as run
-
-    with _progress() as report:
-        return run(scene, settings, ground_truth=ground_truth, progress=report)
-
-
-def _save(result: Reconstruction, folder: Path, formats: list[str], *, pictures: bool = True) -> dict[str, Path]:
-    """Write a result and, where it was measured, its curves."""
-    from recon3d.figures import save_evaluation
-
-    with _progress() as report:
-        report("writing", 0, 1)
-        written = result.save(folder, mesh_formats=formats, pictures=pictures)
-        if result.evaluation:
-            written |= save_evaluation(result.evaluation, folder)
-        report("writing", 1, 1)
-    return written
-
-
-def _make_test(name: str | None, options: list[str]) -> ConsistencyTest:
-    """Photo-consistency test of a name, with NAME=VALUE options."""
-    from recon3d.consistency import TESTS
-
-    name = name or "fuzzy"
-    if name not in TESTS:
-        raise ValueError(f"--test: expected {' or '.join(TESTS)}, got {name!r}")
-    try:
-        return TESTS[name](**_keywords(options))
-    except TypeError as error:
-        raise ValueError(f"--test-option: {error}") from None
-
-
-def _keywords(options: list[str]) -> dict[str, Any]:
-    """Keyword arguments of NAME=VALUE options; a value that is no Python literal is text."""
-    keywords = {}
-    for option in options:
-        key, sign, text = option.partition("=")
-        if not sign:
-            raise ValueError(f"expected NAME=VALUE, got {option!r}")
-        try:
-            keywords[key] = ast.literal_eval(text)
-        except (ValueError, SyntaxError):
-            keywords[key] = text
-    return keywords
-
-
-def _mesh_of(result: Path) -> Path:
-    """The mesh file of a result folder, or the file itself."""
-    return result / "mesh.ply" if result.is_dir() else result
-
-
-def _beside(result: Path, name: str) -> Path:
-    """Folder for what is made from a result: inside its folder, or beside its file."""
-    return (result if result.is_dir() else result.parent) / name
-
-
-def _say(rows: dict[str, Any]) -> None:
-    """Print a table to standard output."""
-    for name, value in rows.items():
-        typer.echo(f"{name + ':':32} {value}")
-
-
-@contextmanager
-def _progress() -> Iterator[Progress]:
-    """Bars on standard error, one a stage; nothing where that is not a terminal."""
-    from rich.console import Console
-    from rich.progress import Progress as Bars
-
-    with Bars(console=Console(stderr=True), disable=not sys.stderr.isatty(), transient=True) as bars:
-        tasks: dict[str, Any] = {}
-
-        def report(stage: str, done: int, total: int) -> None:
-            if stage not in tasks:
-                tasks[stage] = bars.add_task(stage, total=None if total == 1 else total)
-            bars.update(tasks[stage], completed=done, total=None if total == 1 and done == 0 else total)
-
-        yield report
 
 
 if __name__ == "__main__":

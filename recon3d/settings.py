@@ -1,0 +1,97 @@
+"""What to do with a scene: every choice of the main job in one value."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, is_dataclass, replace
+from inspect import Parameter, signature
+from typing import Any, Literal
+
+from recon3d.carving import METHODS, largest_admissible_views, spread_views
+from recon3d.consistency import ConsistencyTest, FuzzyAdaptiveHysteresis
+from recon3d.scene import Scene
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What to do with a scene.
+
+    The paper's own method is ``method="voxel-coloring"``: the fuzzy test, at a million voxels, of eight views
+    (``max_views=8``).
+    """
+
+    n_voxels: int | None = 1_000_000
+    """Approximate number of voxels in the bounds; None when ``voxel_size`` is given."""
+    voxel_size: float | None = None
+    """Edge length in world units, instead of ``n_voxels``."""
+    method: str = "auto"
+    """One of ``METHODS``, or "auto": generalised voxel colouring where a test is given or no silhouettes are known,
+    else vote carving."""
+    method_options: Mapping[str, Any] = field(default_factory=dict)
+    """Keywords of the method, such as ``connectivity`` and ``layering`` of ``voxel_coloring``."""
+    test: ConsistencyTest | None = None
+    """Any photo-consistency test, for a method that uses one; the paper's fuzzy test when None."""
+    views: Literal["auto", "all"] | tuple[str, ...] = "auto"
+    """"auto": all, or the largest subset that a one-sided method admits; "all"; or names, with wildcards."""
+    max_views: int | None = None
+    """With "auto": use at most so many, those farthest apart; the paper uses 8."""
+    fill_hidden: bool = False
+    """With a one-sided method, mesh what lies hidden behind the accepted voxels, too: solid, but partly guessed."""
+    keep_unseen: bool = True
+    """Keep surface that no view sees, such as the underside, so that the mesh is closed."""
+    smoothing: int = 5
+    """Pairs of Taubin steps on the mesh; 0: none."""
+
+    def __post_init__(self) -> None:
+        if self.voxel_size is not None:
+            object.__setattr__(self, "n_voxels", None)
+        if self.method != "auto" and self.method not in METHODS:
+            raise ValueError(f"expected method auto, {', '.join(METHODS)}, got {self.method!r}")
+        if isinstance(self.views, str) and self.views not in ("auto", "all"):
+            raise ValueError(f"expected views 'auto', 'all' or a tuple of names, got {self.views!r}")
+        if self.max_views is not None and self.max_views < 1:
+            raise ValueError(f"expected max_views of at least 1, got {self.max_views}")
+        if self.smoothing < 0:
+            raise ValueError(f"expected smoothing of 0 or more, got {self.smoothing}")
+
+    def resolved(self, scene: Scene) -> Settings:
+        """The same settings with the method and test that "auto" and None mean for a scene.
+
+        Raises
+        ------
+        ValueError : the method has no such option, or uses no test.
+        """
+        method = self.method
+        if method == "auto":
+            known = any(view.silhouette is not None for view in scene.views)
+            method = "vote-carving" if known and self.test is None else "generalized-voxel-coloring"
+        kind = METHODS[method]
+        if self.test is not None and not kind.uses_test:
+            raise ValueError(f"{method} uses no photo-consistency test, got {self.test!r}")
+        parameters = signature(kind.carve).parameters.values()
+        options = [p.name for p in parameters if p.kind is Parameter.KEYWORD_ONLY and p.name != "progress"]
+        unknown = [name for name in self.method_options if name not in options]
+        if unknown:
+            raise ValueError(f"{method} has no option {', '.join(unknown)}; it has {', '.join(options)}")
+        test = self.test or (FuzzyAdaptiveHysteresis() if kind.uses_test else None)
+        return replace(self, method=method, test=test)
+
+    def record(self) -> dict[str, Any]:
+        """Every setting, for a JSON file; a test as its class and fields."""
+        plain = {name: value for name, value in vars(self).items() if name != "test"}
+        fields: dict[str, Any] = (
+            asdict(self.test) if is_dataclass(self.test) and not isinstance(self.test, type) else {}
+        )
+        test = {"class": type(self.test).__qualname__, **fields} if self.test else None
+        return {**plain, "method_options": dict(self.method_options), "test": test}
+
+
+def choose_views(scene: Scene, settings: Settings) -> Scene:
+    """The scene with the views that the settings ask for."""
+    if settings.views == "all":
+        return scene
+    if settings.views != "auto":
+        return scene.subset(settings.views)
+    one_sided = METHODS[settings.method].one_sided
+    names = largest_admissible_views(scene) if one_sided else [view.name for view in scene.views]
+    return spread_views(scene.subset(names), settings.max_views or len(names))

@@ -1,0 +1,137 @@
+"""What the commands share: reading arguments into values, progress bars, tables."""
+
+from __future__ import annotations
+
+import ast
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+if TYPE_CHECKING:  # Open3D takes seconds to import, --help should not
+    import open3d as o3d
+
+    from recon3d.consistency import ConsistencyTest
+    from recon3d.datasets import BuiltInScene
+    from recon3d.pipeline import Progress, Reconstruction
+    from recon3d.scene import Scene
+    from recon3d.settings import Settings
+
+
+def load(scene: str, bounds: str | None, silhouettes: str, mm_per_unit: float = 1000.0) -> Scene:
+    """Scene of a folder or of a built-in name."""
+    from recon3d.datasets import SCENES
+    from recon3d.io import open_scene
+    from recon3d.scene import make_bounds
+
+    if scene in SCENES and not Path(scene).exists():
+        return photograph(scene).scene
+    box = None
+    if bounds is not None:
+        try:
+            numbers = [float(number) for number in bounds.split(",")]
+        except ValueError:
+            numbers = []
+        if len(numbers) != 6:
+            raise ValueError(f"--bounds: expected six numbers X0,Y0,Z0,X1,Y1,Z1, got {bounds!r}")
+        box = make_bounds(numbers[:3], numbers[3:])
+    with progress() as report:
+        report("reading", 0, 1)
+        loaded = open_scene(scene, bounds=box, silhouettes=silhouettes, mm_per_unit=mm_per_unit)
+        report("reading", 1, 1)
+    return loaded
+
+
+def photograph(name: str, **options: Any) -> BuiltInScene:
+    """Built-in scene of a name."""
+    from recon3d.datasets import SCENES
+
+    with progress() as report:
+        report("photographing", 0, 1)
+        built_in = SCENES[name](**options)
+        report("photographing", 1, 1)
+    return built_in
+
+
+def run(scene: Scene, settings: Settings, ground_truth: o3d.geometry.TriangleMesh | None) -> Reconstruction:
+    """Reconstruct under progress bars."""
+    from recon3d.pipeline import reconstruct
+
+    with progress() as report:
+        return reconstruct(scene, settings, ground_truth=ground_truth, progress=report)
+
+
+def save(result: Reconstruction, folder: Path, formats: list[str], *, pictures: bool = True) -> dict[str, Path]:
+    """Write a result and, where it was measured, its curves."""
+    from recon3d.figures import save_evaluation
+
+    with progress() as report:
+        report("writing", 0, 1)
+        written = result.save(folder, mesh_formats=formats, pictures=pictures)
+        if result.evaluation:
+            written |= save_evaluation(result.evaluation, folder)
+        report("writing", 1, 1)
+    return written
+
+
+def make_test(name: str | None, options: list[str]) -> ConsistencyTest:
+    """Photo-consistency test of a name, with NAME=VALUE options."""
+    from recon3d.consistency import TESTS
+
+    name = name or "fuzzy"
+    if name not in TESTS:
+        raise ValueError(f"--test: expected {' or '.join(TESTS)}, got {name!r}")
+    try:
+        return TESTS[name](**keywords(options))
+    except TypeError as error:
+        raise ValueError(f"--test-option: {error}") from None
+
+
+def keywords(options: list[str]) -> dict[str, Any]:
+    """Keyword arguments of NAME=VALUE options; a value that is no Python literal is text."""
+    values = {}
+    for option in options:
+        key, sign, text = option.partition("=")
+        if not sign:
+            raise ValueError(f"expected NAME=VALUE, got {option!r}")
+        try:
+            values[key] = ast.literal_eval(text)
+        except (ValueError, SyntaxError):
+            values[key] = text
+    return values
+
+
+def mesh_of(result: Path) -> Path:
+    """The mesh file of a result folder, or the file itself."""
+    return result / "mesh.ply" if result.is_dir() else result
+
+
+def beside(result: Path, name: str) -> Path:
+    """Folder for what is made from a result: inside its folder, or beside its file."""
+    return (result if result.is_dir() else result.parent) / name
+
+
+def say(rows: dict[str, Any]) -> None:
+    """Print a table to standard output."""
+    for name, value in rows.items():
+        typer.echo(f"{name + ':':32} {value}")
+
+
+@contextmanager
+def progress() -> Iterator[Progress]:
+    """Bars on standard error, one a stage; nothing where that is not a terminal."""
+    from rich.console import Console
+    from rich.progress import Progress as Bars
+
+    with Bars(console=Console(stderr=True), disable=not sys.stderr.isatty(), transient=True) as bars:
+        tasks: dict[str, Any] = {}
+
+        def report(stage: str, done: int, total: int) -> None:
+            if stage not in tasks:
+                tasks[stage] = bars.add_task(stage, total=None if total == 1 else total)
+            bars.update(tasks[stage], completed=done, total=None if total == 1 and done == 0 else total)
+
+        yield report
