@@ -23,6 +23,7 @@ MIN_DEVIATION = 2.0
 """Grey levels; a window with less contrast has nothing to match."""
 
 _NEIGHBOURS = 4
+_FINEST = 2.0  # pixel footprints; a window is twice as wide
 _NEAREST_ANGLE, _FARTHEST_ANGLE = 5.0, 60.0  # degrees between viewing directions that can be matched
 
 
@@ -43,7 +44,7 @@ class _Round:
     spacing: int
     """Between compared pixels of a window."""
     margin: float
-    """Voxels that this pass leaves in front of the surface it found."""
+    """Resolutions that this pass leaves in front of the surface it found."""
 
 
 _ROUNDS = (
@@ -76,7 +77,8 @@ def vote_carving(
     ----------
     test : not used; windows are compared by normalised cross-correlation.
     min_score : mean of the two best correlations that counts as a match, in (-1, 1).
-    truncation : voxels before and behind a depth within which it is evidence for the surface's exact place.
+    truncation : how far before and behind a depth it is evidence for the surface's exact place; in voxels, or in two
+        pixel footprints where that is more.
 
     Returns
     -------
@@ -102,12 +104,14 @@ def vote_carving(
     hull_field = hull_distance(scene, volume)
     inside_hull = volume.occupied & (hull_field > 0)
     field = np.where(volume.occupied, hull_field, np.minimum(hull_field, -volume.voxel_size))
-    matcher = _Matcher(scene, volume, views, neighbours, min_score)
+    # Below a few pixels, smaller voxels do not make the photographs say more.
+    resolution = max(volume.voxel_size, _FINEST * scene.pixel_footprint)
+    matcher = _Matcher(scene, volume, views, neighbours, min_score, resolution)
     for n, settings in enumerate(_ROUNDS):
         buffer = ItemBuffer(views, volume)
         buffer.advance(field > 0)
         depths, weights = matcher.depth_maps(buffer, settings)
-        field = _carve(field, volume, views, depths, weights, settings, truncation * volume.voxel_size)
+        field = _carve(field, volume, views, depths, weights, settings, resolution, truncation * resolution)
         if progress:
             progress(n + 1, len(_ROUNDS))
 
@@ -158,6 +162,7 @@ class _Matcher:
     views: ViewArrays
     neighbours: list[list[int]]
     min_score: float
+    resolution: float
 
     def depth_maps(self, buffer: ItemBuffer, settings: _Round) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Confirmed depths and their weights (n_views, rows, columns) of every stride-th pixel; 0 where none."""
@@ -187,7 +192,13 @@ class _Matcher:
             weights[n, rows[good], columns[good]] = score[good] ** 2
         agreements = np.zeros(depths.shape, np.int64)
         count_agreements(
-            views.projections, views.centers, views.world_from_pixel, depths, settings.stride, 0.75 * size, agreements
+            views.projections,
+            views.centers,
+            views.world_from_pixel,
+            depths,
+            settings.stride,
+            0.75 * self.resolution,
+            agreements,
         )
         return np.where(agreements > 0, depths, 0), np.where(agreements > 0, weights, 0)
 
@@ -199,6 +210,7 @@ def _carve(
     depths: NDArray[np.float32],
     weights: NDArray[np.float32],
     settings: _Round,
+    resolution: float,
     truncation: float,
 ) -> NDArray[np.float32]:
     """Signed distance field (nx, ny, nz) after the depth maps' votes; never larger than before but in filled holes."""
@@ -212,9 +224,10 @@ def _carve(
     votes, weight = np.zeros(volume.shape, np.float32), np.zeros(volume.shape, np.float32)
     votes[occupied], weight[occupied] = distance * support, support
     # Blurred together with their weights, so that one stray ray cannot bore a hole.
-    votes, weight = gaussian_filter(votes, 1.0), gaussian_filter(weight, 1.0)
+    blur = resolution / volume.voxel_size
+    votes, weight = gaussian_filter(votes, blur), gaussian_filter(weight, blur)
     judged = (votes + settings.prior * truncation) / (weight + settings.prior)
-    carved = np.where(occupied, np.minimum(field, judged + settings.margin * volume.voxel_size), field)
+    carved = np.where(occupied, np.minimum(field, judged + settings.margin * resolution), field)
     # A cavity without an opening was seen by nobody.
     enclosed = binary_fill_holes(carved > 0) & (carved <= 0) & occupied
     carved[enclosed] = volume.voxel_size
