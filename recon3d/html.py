@@ -2,6 +2,7 @@
 
 import base64
 import html
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 
 import cv2
@@ -9,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 
-class Summarised:
+class Summarised(ABC):
     """A value that is told by a table, and perhaps a picture, instead of all its arrays."""
 
+    @abstractmethod
     def summary(self) -> Mapping[str, object]:
         """Rows of the table."""
-        raise NotImplementedError
 
     def picture(self) -> NDArray[np.uint8] | None:
         """RGB picture, or None."""
