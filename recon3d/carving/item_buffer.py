@@ -11,7 +11,43 @@ from recon3d.kernels.item_buffer import advance, collect_items, count_items, ent
 from recon3d.volume import CarvingVolume
 
 
-class ItemBuffer:
+class SeenItems:
+    """What every pixel sees, whatever the voxels are kept in."""
+
+    def __init__(self, views: ViewArrays, n_places: int) -> None:
+        self.views = views
+        self.n_places = n_places
+        """Voxels that a pixel may see."""
+        self.items = np.empty(views.free.shape, np.int32)
+        """(n_views, height, width) flat index of the voxel that the pixel sees, negative where none."""
+        self._rank = np.empty(0, np.int32)
+
+    def patches(self, voxels: NDArray[np.int64]) -> Patches:
+        """Visible pixels of voxels given by their flat indices; every one of them must be seen by some pixel."""
+        if len(self._rank) != self.n_places:
+            self._rank = np.full(self.n_places, -1, np.int32)
+        self._rank[voxels] = np.arange(len(voxels), dtype=np.int32)
+        counts = np.zeros((len(voxels), len(self.items)), np.int64)
+        count_items(self.items, self._rank, counts)
+        ends = np.cumsum(counts).reshape(counts.shape)
+        view_starts = np.concatenate([ends[:, :1] - counts[:, :1], ends], axis=1)
+        colors = np.empty((int(ends[-1, -1]) if ends.size else 0, 3), np.uint8)
+        collect_items(self.items, self._rank, view_starts, self.views.images, colors)
+        self._rank[voxels] = -1
+        return Patches(colors, view_starts)
+
+    def visible_mask(self) -> NDArray[np.bool_]:
+        """(n_places,) voxels that some pixel sees."""
+        seen = np.zeros(self.n_places, np.bool_)
+        seen[self.items[self.items >= 0]] = True
+        return seen
+
+    def visible(self) -> NDArray[np.int64]:
+        """Flat indices, ascending, of the voxels that some pixel sees."""
+        return np.flatnonzero(self.visible_mask())
+
+
+class ItemBuffer(SeenItems):
     """The first occupied voxel on the ray of every pixel that may show the object.
 
     Rays run through pixel centres. Each walks the volume once in the whole run.
@@ -23,34 +59,18 @@ class ItemBuffer:
     """
 
     def __init__(self, views: ViewArrays, volume: CarvingVolume) -> None:
-        self.views = views
+        super().__init__(views, volume.occupied.size)
         self.origin, self.size, self.shape = volume.origin, volume.voxel_size, np.array(volume.shape)
-        self.items = np.empty(views.free.shape, np.int32)
-        """(n_views, height, width) flat index of the voxel that the pixel sees, -1 where none."""
         enter_volume(
             self.shape, self.origin, self.size, views.centers, views.world_from_pixel, views.foreground, self.items
         )
+        self._entered = False
 
     def advance(self, occupied: NDArray[np.bool_]) -> NDArray[np.int64]:
         """Move all rays on to their first voxel occupied now; flat indices, ascending, of voxels newly hit."""
         touched = np.zeros(occupied.size, np.bool_)
         advance(occupied, self.origin, self.size, self.views.centers, self.views.world_from_pixel, self.items, touched)
+        if not self._entered:  # rays that enter the volume at an occupied voxel hit it without a step
+            self._entered = True
+            return self.visible()
         return np.flatnonzero(touched)
-
-    def patches(self, voxels: NDArray[np.int64]) -> Patches:
-        """Visible pixels of voxels given by their flat indices; every one of them must be seen by some pixel."""
-        rank = np.full(int(self.shape.prod()), -1, np.int32)
-        rank[voxels] = np.arange(len(voxels), dtype=np.int32)
-        counts = np.zeros((len(voxels), len(self.items)), np.int64)
-        count_items(self.items, rank, counts)
-        ends = np.cumsum(counts).reshape(counts.shape)
-        view_starts = np.concatenate([ends[:, :1] - counts[:, :1], ends], axis=1)
-        colors = np.empty((int(ends[-1, -1]) if ends.size else 0, 3), np.uint8)
-        collect_items(self.items, rank, view_starts, self.views.images, colors)
-        return Patches(colors, view_starts)
-
-    def visible(self) -> NDArray[np.int64]:
-        """Flat indices, ascending, of the voxels that some pixel sees."""
-        seen = np.zeros(int(self.shape.prod()), np.bool_)
-        seen[self.items[self.items >= 0]] = True
-        return np.flatnonzero(seen)

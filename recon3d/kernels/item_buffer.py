@@ -30,30 +30,13 @@ def enter_volume(
         row = line % height
         start = np.empty(3)
         step = np.empty(3)
+        place = np.empty(3, np.int64)
         for column in range(width):
             items[view, row, column] = -1
-            if not wanted[view, row, column]:
-                continue
-            near = 0.0
-            far = np.inf
-            for axis in range(3):
-                start[axis] = (centers[view, axis] - origin[axis]) / size
-                M = world_from_pixel[view, axis]
-                step[axis] = M[0] * column + M[1] * row + M[2]
-                if step[axis] == 0.0:
-                    if start[axis] < 0 or start[axis] >= shape[axis]:
-                        far = -1.0
-                    continue
-                first = -start[axis] / step[axis]
-                second = (shape[axis] - start[axis]) / step[axis]
-                near = max(near, min(first, second))
-                far = min(far, max(first, second))
-            if near < far:
-                index = 0
-                for axis in range(3):
-                    place = int(np.floor(start[axis] + near * step[axis]))
-                    index = index * shape[axis] + min(max(place, 0), shape[axis] - 1)
-                items[view, row, column] = index
+            if wanted[view, row, column]:
+                pixel_ray(origin, size, centers[view], world_from_pixel[view], column, row, start, step)
+                if enter_box(shape, start, step, place):
+                    items[view, row, column] = (place[0] * shape[1] + place[1]) * shape[2] + place[2]
 
 
 @kernel(parallel=True)
@@ -83,10 +66,7 @@ def advance(
             place[0] = item // (shape[1] * shape[2])
             place[1] = item // shape[2] % shape[1]
             place[2] = item % shape[2]
-            for axis in range(3):
-                start[axis] = (centers[view, axis] - origin[axis]) / size
-                M = world_from_pixel[view, axis]
-                step[axis] = M[0] * column + M[1] * row + M[2]
+            pixel_ray(origin, size, centers[view], world_from_pixel[view], column, row, start, step)
             item = _next_occupied(flat, shape, start, step, place)
             items[view, row, column] = item
             if item >= 0:
@@ -94,22 +74,61 @@ def advance(
 
 
 @kernel()
+def pixel_ray(
+    origin: Any, size: float, center: Any, world_from_pixel: Any, u: int, v: int, start: Any, step: Any
+) -> None:
+    """Set where a pixel's ray starts, in voxels from the lattice's origin, and its direction."""
+    for axis in range(3):
+        start[axis] = (center[axis] - origin[axis]) / size
+        M = world_from_pixel[axis]
+        step[axis] = M[0] * u + M[1] * v + M[2]
+
+
+@kernel()
+def enter_box(shape: Any, start: Any, step: Any, place: Any) -> bool:
+    """Set the first voxel of a ray in the lattice, the start's own if that is inside; false where it misses."""
+    near = 0.0
+    far = np.inf
+    for axis in range(3):
+        if step[axis] == 0.0:
+            if start[axis] < 0 or start[axis] >= shape[axis]:
+                return False
+            continue
+        first = -start[axis] / step[axis]
+        second = (shape[axis] - start[axis]) / step[axis]
+        near = max(near, min(first, second))
+        far = min(far, max(first, second))
+    if not near < far:
+        return False
+    for axis in range(3):
+        entry = int(np.floor(start[axis] + near * step[axis]))
+        place[axis] = min(max(entry, 0), shape[axis] - 1)
+    return True
+
+
+@kernel()
+def next_voxel(shape: Any, start: Any, step: Any, place: Any) -> bool:
+    """Step across the voxel's first wall on the ray, of equal ones that of the lower axis; false beyond the lattice."""
+    axis = -1
+    nearest = np.inf
+    for a in range(3):
+        if step[a] != 0.0:
+            wall = place[a] + 1 if step[a] > 0 else place[a]
+            crossing = (wall - start[a]) / step[a]
+            if crossing < nearest:
+                nearest = crossing
+                axis = a
+    if axis < 0:
+        return False
+    place[axis] += 1 if step[axis] > 0 else -1
+    return 0 <= place[axis] < shape[axis]
+
+
+@kernel()
 def _next_occupied(flat: Any, shape: Any, start: Any, step: Any, place: Any) -> int:
     """Walk from an empty voxel along a ray to the next occupied one; -1 beyond the volume."""
     while True:
-        axis = -1
-        nearest = np.inf
-        for a in range(3):
-            if step[a] != 0.0:
-                wall = place[a] + 1 if step[a] > 0 else place[a]
-                crossing = (wall - start[a]) / step[a]
-                if crossing < nearest:
-                    nearest = crossing
-                    axis = a
-        if axis < 0:
-            return -1
-        place[axis] += 1 if step[axis] > 0 else -1
-        if place[axis] < 0 or place[axis] >= shape[axis]:
+        if not next_voxel(shape, start, step, place):
             return -1
         index = (place[0] * shape[1] + place[1]) * shape[2] + place[2]
         if flat[index]:
