@@ -14,6 +14,8 @@ from recon3d.html import Summarised, thumbnails
 
 BYTES_PER_VOXEL = 40
 """Peak memory of carving and meshing, measured on full volumes, rounded up."""
+BAND = 3.0
+"""Voxels beside the surface within which distance fields are kept."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -63,13 +65,11 @@ class CarvingVolume(Summarised):
             voxel_size = float((extent.prod() / n_voxels) ** (1 / 3))
         elif voxel_size is None or n_voxels is not None:
             raise ValueError("expected either voxel_size or n_voxels")
-        if not voxel_size > 0:
-            raise ValueError(f"expected a positive voxel size, got {voxel_size}")
-        shape = np.maximum(np.ceil(extent / voxel_size - 1e-6), 1)
-        _check_memory(shape, voxel_size)
+        origin, shape = enclosing_lattice(bounds, voxel_size)
+        check_memory(float(np.prod(shape)) * BYTES_PER_VOXEL, shape, voxel_size)
         nx, ny, nz = (int(n) for n in shape)
         return cls(
-            origin=np.asarray(bounds.get_center()) - shape * voxel_size / 2,
+            origin=origin,
             voxel_size=voxel_size,
             occupied=np.ones((nx, ny, nz), np.bool_),
             colors=np.zeros((nx, ny, nz, 3), np.uint8),
@@ -96,7 +96,7 @@ class CarvingVolume(Summarised):
         size = needed if shape is None else np.asarray(shape, np.int64)
         if (size < needed).any():
             raise ValueError(f"expected a shape of at least {tuple(needed)}, got {tuple(size)}")
-        _check_memory(size.astype(np.float64), grid.voxel_size)
+        check_memory(float(np.prod(size, dtype=np.float64)) * BYTES_PER_VOXEL, size, grid.voxel_size)
         occupied = np.zeros(tuple(size), np.bool_)
         colors = np.zeros((*size, 3), np.uint8)
         at = tuple(indices.T)
@@ -169,13 +169,32 @@ class CarvingVolume(Summarised):
         return np.where(any_occupied[..., None], colors, np.uint8(255))[:, ::-1].transpose(1, 0, 2).copy()
 
 
-def _check_memory(shape: NDArray[np.float64], voxel_size: float) -> None:
-    """Refuse a volume that needs more memory than is free."""
-    needed = float(np.prod(shape)) * BYTES_PER_VOXEL
+def enclosing_lattice(
+    bounds: o3d.geometry.AxisAlignedBoundingBox, voxel_size: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Origin (3,) and whole numbers of voxels (3,) of the lattice of a voxel size that is centred on a box."""
+    if not (np.isfinite(voxel_size) and voxel_size > 0):
+        raise ValueError(f"expected a positive voxel size, got {voxel_size}")
+    shape = np.maximum(np.ceil(np.asarray(bounds.get_extent()) / voxel_size - 1e-6), 1)
+    return np.asarray(bounds.get_center()) - shape * voxel_size / 2, shape
+
+
+def check_memory(needed: float, shape: ArrayLike, voxel_size: float, *, dimension: int = 3) -> None:
+    """Refuse a volume (nx, ny, nz) that needs more memory, in bytes, than is free.
+
+    Parameters
+    ----------
+    dimension : what the memory grows with: 3, the volume; 2, its surface.
+
+    Raises
+    ------
+    VolumeTooLargeError : says how much is needed and free, and the voxel size that would fit.
+    """
     available = psutil.virtual_memory().available
     if needed > available:
-        fitting = voxel_size * (needed / (0.9 * available)) ** (1 / 3)
+        fitting = voxel_size * (needed / (0.9 * available)) ** (1 / dimension)
         raise VolumeTooLargeError(
-            f"{' x '.join(f'{n:.0f}' for n in shape)} voxels of {voxel_size:.4g} would need {needed / 2**30:.1f} GiB "
-            f"and {available / 2**30:.1f} GiB are free; a voxel size of {fitting:.4g} would fit"
+            f"{' x '.join(f'{n:.0f}' for n in np.asarray(shape))} voxels of {voxel_size:.4g} would need "
+            f"{needed / 2**30:.1f} GiB and {available / 2**30:.1f} GiB are free; "
+            f"a voxel size of {fitting:.4g} would fit"
         )

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import NamedTuple
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -13,11 +16,8 @@ from recon3d.consistency import ConsistencyTest
 from recon3d.errors import EmptyReconstructionError, SceneError
 from recon3d.kernels.ragged import mean_colors
 from recon3d.kernels.silhouettes import silhouette_distance
-from recon3d.scene import Scene
-from recon3d.volume import CarvingVolume
-
-BAND = 3.0
-"""Voxels beside the surface within which the distance field is kept."""
+from recon3d.scene import Scene, View
+from recon3d.volume import BAND, CarvingVolume
 
 
 def visual_hull(
@@ -69,32 +69,61 @@ def hull_distance(scene: Scene, volume: CarvingVolume, *, tolerance: int = 0) ->
 
     Cut off at ``BAND`` voxels on either side; where no silhouette says anything it is that far inside.
     """
-    views = [view for view in scene.views if view.silhouette is not None]
+    outlines = silhouette_outlines(scene, tolerance)
+    limit = np.float32(BAND * volume.voxel_size)
+    field = np.full(volume.shape, limit, np.float32)
+    silhouette_distance(volume.origin, volume.voxel_size, *outlines, tolerance, field)
+    if not (volume.occupied & (field > 0)).any():
+        raise nothing_inside(scene, lambda alone: float((hull_distance(alone, volume) > 0).mean()))
+    return np.maximum(field, -limit)
+
+
+class Outlines(NamedTuple):
+    """The silhouettes as kernels read them, of the views that have one."""
+
+    projections: NDArray[np.float64]
+    """(n, 3, 4)."""
+    sizes: NDArray[np.int64]
+    """(n, 2) width and height, pixels."""
+    pixel_scales: NDArray[np.float64]
+    """(n,) a pixel's size at depth one, world units."""
+    distances: NDArray[np.float32]
+    """(n, height, width) signed distance to the outline, pixels, positive inside."""
+
+
+def silhouette_outlines(scene: Scene, tolerance: int = 0) -> Outlines:
+    """Outlines of a scene's silhouettes, of which at most so many as tolerated, and not all, may be wrong."""
+    views = _with_silhouette(scene)
     if not views:
         raise SceneError(f"scene {scene.name}: a visual hull needs silhouettes, and no view has one")
     if not 0 <= tolerance < len(views):
         raise ValueError(f"expected a tolerance of 0 to {len(views) - 1} wrong silhouettes, got {tolerance}")
-    arrays = ViewArrays(Scene(tuple(views), scene.bounds, scene.name))
+    arrays = ViewArrays(Scene(views, scene.bounds, scene.name))
     distances = np.zeros(arrays.free.shape, np.float32)
     for n, view in enumerate(views):
         distances[n, : view.height, : view.width] = outline_distance(arrays.free[n, : view.height, : view.width])
     pixel_scales = np.array([1 / np.sqrt(view.K[0, 0] * view.K[1, 1]) for view in views])
-    limit = np.float32(BAND * volume.voxel_size)
-    field = np.full(volume.shape, limit, np.float32)
-    silhouette_distance(
-        volume.origin, volume.voxel_size, arrays.projections, arrays.sizes, pixel_scales, distances, tolerance, field
+    return Outlines(arrays.projections, arrays.sizes, pixel_scales, distances)
+
+
+def nothing_inside(scene: Scene, share: Callable[[Scene], float]) -> EmptyReconstructionError:
+    """The error that names the view which excludes most; share gives the part that a hull of one view leaves."""
+    alone = []
+    views = _with_silhouette(scene)
+    for view in views:
+        try:
+            alone.append(share(Scene((view,), scene.bounds, scene.name)) if len(views) > 1 else 0.0)
+        except EmptyReconstructionError:
+            alone.append(0.0)
+    worst = int(np.argmin(alone))
+    return EmptyReconstructionError(
+        f"scene {scene.name}: no voxel is inside all silhouettes; {views[worst].name} alone leaves "
+        f"{100 * alone[worst]:.1f}% of the volume"
     )
-    if not (volume.occupied & (field > 0)).any():
-        alone = []
-        for view in views:
-            only = Scene((view,), scene.bounds, scene.name)
-            alone.append(float((hull_distance(only, volume) > 0).mean()) if len(views) > 1 else 0.0)
-        worst = int(np.argmin(alone))
-        raise EmptyReconstructionError(
-            f"scene {scene.name}: no voxel is inside all silhouettes; {views[worst].name} alone leaves "
-            f"{100 * alone[worst]:.1f}% of the volume"
-        )
-    return np.maximum(field, -limit)
+
+
+def _with_silhouette(scene: Scene) -> tuple[View, ...]:
+    return tuple(view for view in scene.views if view.silhouette is not None)
 
 
 def outline_distance(mask: NDArray[np.bool_]) -> NDArray[np.float32]:

@@ -5,6 +5,7 @@ from numba import prange
 from numpy.typing import NDArray
 
 from recon3d.kernels import kernel
+from recon3d.kernels.bricks import BRICK, EMPTY, SOLID, UNDECIDED
 
 
 @kernel(parallel=True)
@@ -31,23 +32,39 @@ def silhouette_distance(
                 x = origin[0] + (i + 0.5) * size
                 y = origin[1] + (j + 0.5) * size
                 z = origin[2] + (k + 0.5) * size
-                smallest[:] = np.inf
-                for view in range(projections.shape[0]):
-                    P = projections[view]
-                    depth = P[2, 0] * x + P[2, 1] * y + P[2, 2] * z + P[2, 3]
-                    if depth <= 0.0:
-                        continue
-                    u = (P[0, 0] * x + P[0, 1] * y + P[0, 2] * z + P[0, 3]) / depth
-                    v = (P[1, 0] * x + P[1, 1] * y + P[1, 2] * z + P[1, 3]) / depth
-                    width, height = image_sizes[view, 0], image_sizes[view, 1]
-                    if not (u >= -0.5 and v >= -0.5 and u < width - 0.5 and v < height - 0.5):
-                        continue
-                    value = bilinear(distances[view], u, v, width, height) * depth * pixel_scales[view]
-                    for rank in range(tolerance + 1):
-                        if value < smallest[rank]:
-                            smallest[rank], value = value, smallest[rank]
-                if smallest[tolerance] < field[i, j, k]:
-                    field[i, j, k] = smallest[tolerance]
+                value = distance_at(x, y, z, projections, image_sizes, pixel_scales, distances, smallest)
+                if value < field[i, j, k]:
+                    field[i, j, k] = value
+
+
+@kernel()
+def distance_at(
+    x: float,
+    y: float,
+    z: float,
+    projections: NDArray[np.float64],
+    image_sizes: NDArray[np.int64],
+    pixel_scales: NDArray[np.float64],
+    distances: NDArray[np.float32],
+    smallest: NDArray[np.float64],
+) -> float:
+    """The len(smallest)-th smallest signed distance over the views that show a point; infinite with fewer views."""
+    smallest[:] = np.inf
+    for view in range(projections.shape[0]):
+        P = projections[view]
+        depth = P[2, 0] * x + P[2, 1] * y + P[2, 2] * z + P[2, 3]
+        if depth <= 0.0:
+            continue
+        u = (P[0, 0] * x + P[0, 1] * y + P[0, 2] * z + P[0, 3]) / depth
+        v = (P[1, 0] * x + P[1, 1] * y + P[1, 2] * z + P[1, 3]) / depth
+        width, height = image_sizes[view, 0], image_sizes[view, 1]
+        if not (u >= -0.5 and v >= -0.5 and u < width - 0.5 and v < height - 0.5):
+            continue
+        value = bilinear(distances[view], u, v, width, height) * depth * pixel_scales[view]
+        for rank in range(smallest.shape[0]):
+            if value < smallest[rank]:
+                smallest[rank], value = value, smallest[rank]
+    return smallest[-1]
 
 
 @kernel()
@@ -62,3 +79,115 @@ def bilinear(image: NDArray[np.float32], u: float, v: float, width: int, height:
     return (1 - b) * ((1 - a) * image[v0, u0] + a * image[v0, u0 + 1]) + b * (
         (1 - a) * image[v0 + 1, u0] + a * image[v0 + 1, u0 + 1]
     )
+
+
+@kernel(parallel=True)
+def bound_bricks(
+    shape: NDArray[np.int64],
+    origin: NDArray[np.float64],
+    size: float,
+    projections: NDArray[np.float64],
+    image_sizes: NDArray[np.int64],
+    pixel_scales: NDArray[np.float64],
+    distances: NDArray[np.float32],
+    tolerance: int,
+    limit: float,
+    slots: NDArray[np.int32],
+) -> None:
+    """Slots (bx, by, bz): EMPTY or SOLID where no voxel of the brick can be within the limit, else UNDECIDED.
+
+    Neighbouring pixels of a signed distance differ by one at most, so that over a brick's footprint it differs from
+    its middle by at most half the footprint's width and height together.
+    """
+    limit = limit * (1 + 1e-6)
+    for column in prange(slots.shape[0] * slots.shape[1]):
+        for bk in range(slots.shape[2]):
+            bi, bj = column // slots.shape[1], column % slots.shape[1]
+            whole_brick = max(bi + 1 - shape[0] / BRICK, bj + 1 - shape[1] / BRICK, bk + 1 - shape[2] / BRICK) <= 0
+            outside = 0
+            doubtful = 0
+            for view in range(projections.shape[0]):
+                P = projections[view]
+                u_min = v_min = near = np.inf
+                u_max = v_max = far = -np.inf
+                for corner in range(8):
+                    # Centres of the brick's outermost voxels.
+                    i = min(bi * BRICK + (BRICK - 1) * (corner & 1), shape[0] - 1)
+                    j = min(bj * BRICK + (BRICK - 1) * ((corner >> 1) & 1), shape[1] - 1)
+                    k = min(bk * BRICK + (BRICK - 1) * (corner >> 2), shape[2] - 1)
+                    x = origin[0] + (i + 0.5) * size
+                    y = origin[1] + (j + 0.5) * size
+                    z = origin[2] + (k + 0.5) * size
+                    depth = P[2, 0] * x + P[2, 1] * y + P[2, 2] * z + P[2, 3]
+                    near = min(near, depth)
+                    far = max(far, depth)
+                    if depth > 0.0:
+                        u = (P[0, 0] * x + P[0, 1] * y + P[0, 2] * z + P[0, 3]) / depth
+                        v = (P[1, 0] * x + P[1, 1] * y + P[1, 2] * z + P[1, 3]) / depth
+                        u_min, u_max = min(u_min, u), max(u_max, u)
+                        v_min, v_max = min(v_min, v), max(v_max, v)
+                if far <= 0.0:
+                    continue  # wholly behind the camera
+                if near <= 0.0:
+                    doubtful += 1
+                    continue
+                width, height = image_sizes[view, 0], image_sizes[view, 1]
+                if u_max < -0.5 or v_max < -0.5 or u_min >= width - 0.5 or v_min >= height - 0.5:
+                    continue  # not in the image
+                whole = u_min >= -0.499 and v_min >= -0.499 and u_max < width - 0.501 and v_max < height - 0.501
+                middle = bilinear(distances[view], 0.5 * (u_min + u_max), 0.5 * (v_min + v_max), width, height)
+                reach = 0.5 * (u_max - u_min + v_max - v_min) + 1e-3
+                highest = (middle + reach) * pixel_scales[view] * (near if middle + reach < 0 else far)
+                lowest = (middle - reach) * pixel_scales[view] * (far if middle - reach < 0 else near)
+                if whole and highest <= -limit:
+                    outside += 1
+                elif lowest < limit:
+                    doubtful += 1
+            if outside > tolerance:
+                slots[bi, bj, bk] = EMPTY
+            elif outside + doubtful <= tolerance and whole_brick:
+                slots[bi, bj, bk] = SOLID
+            else:
+                slots[bi, bj, bk] = UNDECIDED
+
+
+@kernel(parallel=True)
+def sample_bricks(
+    bricks: NDArray[np.int64],
+    shape: NDArray[np.int64],
+    origin: NDArray[np.float64],
+    size: float,
+    projections: NDArray[np.float64],
+    image_sizes: NDArray[np.int64],
+    pixel_scales: NDArray[np.float64],
+    distances: NDArray[np.float32],
+    tolerance: int,
+    limit: float,
+    field: NDArray[np.float32],
+    kinds: NDArray[np.int32],
+) -> None:
+    """Field (n, BRICK, BRICK, BRICK) of bricks (n, 3), cut off at the limit on either side; the lowest off the lattice.
+
+    A field of no bricks asks for the kinds alone: EMPTY or SOLID where the whole brick is at the limit, else UNDECIDED.
+    """
+    limit32 = np.float32(limit)
+    for n in prange(bricks.shape[0]):
+        smallest = np.empty(tolerance + 1, np.float64)
+        n_in = n_out = 0
+        for local in range(BRICK**3):
+            a, b, c = local // BRICK**2, local // BRICK % BRICK, local % BRICK
+            i, j, k = bricks[n, 0] * BRICK + a, bricks[n, 1] * BRICK + b, bricks[n, 2] * BRICK + c
+            value = -limit32
+            if i < shape[0] and j < shape[1] and k < shape[2]:
+                x = origin[0] + (i + 0.5) * size
+                y = origin[1] + (j + 0.5) * size
+                z = origin[2] + (k + 0.5) * size
+                exact = distance_at(x, y, z, projections, image_sizes, pixel_scales, distances, smallest)
+                value = max(np.float32(min(exact, np.float64(limit32))), -limit32)
+            n_in += int(value >= limit32)
+            n_out += int(value <= -limit32)
+            if field.shape[0]:
+                field[n, a, b, c] = value
+            elif max(n_in, n_out) <= local:
+                break
+        kinds[n] = SOLID if n_in == BRICK**3 else EMPTY if n_out == BRICK**3 else UNDECIDED

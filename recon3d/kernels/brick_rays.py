@@ -1,0 +1,132 @@
+"""The item buffer on a lattice of bricks: the voxels that rays meet are those of a dense lattice, to the last bit.
+
+A ray is the stored voxel that it sees, flat; NOT_ENTERED before its first walk, and GONE when it has left the lattice.
+"""
+
+from typing import Any
+
+import numpy as np
+from numba import prange
+from numpy.typing import NDArray
+
+from recon3d.kernels import kernel
+from recon3d.kernels.bricks import BRICK, SOLID
+from recon3d.kernels.item_buffer import enter_box, next_voxel, pixel_ray
+
+GONE, NOT_ENTERED = -1, -2
+_MET_SOLID = -3
+
+
+@kernel(parallel=True)
+def advance_bricks(
+    shape: NDArray[np.int64],
+    origin: NDArray[np.float64],
+    size: float,
+    slots: NDArray[np.int32],
+    bricks: NDArray[np.int64],
+    occupied: NDArray[np.bool_],
+    centers: NDArray[np.float64],
+    world_from_pixel: NDArray[np.float64],
+    items: NDArray[np.int32],
+    touched: NDArray[np.bool_],
+    missing: NDArray[np.bool_],
+) -> None:
+    """Move every ray on to its first occupied voxel, and mark in touched (flat) the stored voxels newly hit.
+
+    A ray that meets a solid brick stays as it is and marks the brick (bx, by, bz) in missing: store it, call again.
+    """
+    n_views, height, width = items.shape
+    flat = occupied.ravel()
+    for line in prange(n_views * height):
+        view = line // height
+        row = line % height
+        start = np.empty(3)
+        step = np.empty(3)
+        place = np.empty(3, np.int64)
+        for column in range(width):
+            item = items[view, row, column]
+            if item == GONE or (item >= 0 and flat[item]):
+                continue
+            pixel_ray(origin, size, centers[view], world_from_pixel[view], column, row, start, step)
+            if item >= 0:
+                slot, local = item // BRICK**3, item % BRICK**3
+                place[0] = bricks[slot, 0] * BRICK + local // BRICK**2
+                place[1] = bricks[slot, 1] * BRICK + local // BRICK % BRICK
+                place[2] = bricks[slot, 2] * BRICK + local % BRICK
+            elif not enter_box(shape, start, step, place):
+                items[view, row, column] = GONE
+                continue
+            item = _first_occupied(shape, slots, flat, start, step, place)
+            if item == _MET_SOLID:
+                missing[place[0] // BRICK, place[1] // BRICK, place[2] // BRICK] = True
+                continue
+            items[view, row, column] = item
+            if item >= 0:
+                touched[item] = True
+
+
+@kernel()
+def _first_occupied(shape: Any, slots: Any, flat: Any, start: Any, step: Any, place: Any) -> int:
+    """Walk along a ray to its first occupied voxel, this one included; GONE beyond the lattice."""
+    while True:
+        slot = slots[place[0] // BRICK, place[1] // BRICK, place[2] // BRICK]
+        if slot == SOLID:
+            return _MET_SOLID
+        if slot >= 0:
+            item = ((slot * BRICK + place[0] % BRICK) * BRICK + place[1] % BRICK) * BRICK + place[2] % BRICK
+            if flat[item]:
+                return item
+            inside = next_voxel(shape, start, step, place)
+        else:
+            inside = next_brick(shape, start, step, place)
+        if not inside:
+            return GONE
+
+
+@kernel()
+def next_brick(shape: Any, start: Any, step: Any, place: Any) -> bool:
+    """Step to the ray's first voxel beyond the brick of its place, as ``next_voxel`` over and over; false if none is.
+
+    That crosses walls in order of where the ray meets them, then of axis, so the wall that ends the brick tells which
+    others have been crossed; rounding is the same since every crossing is computed alike.
+    """
+    axis = -1
+    nearest = np.inf
+    for a in range(3):
+        if step[a] != 0.0:
+            low = place[a] // BRICK * BRICK
+            wall = min(low + BRICK, shape[a]) if step[a] > 0 else low
+            crossing = (wall - start[a]) / step[a]
+            if crossing < nearest:
+                nearest = crossing
+                axis = a
+    if axis < 0:
+        return False
+    for a in range(3):
+        if a == axis or step[a] == 0.0:
+            continue
+        low = place[a] // BRICK * BRICK
+        guess = np.floor(start[a] + nearest * step[a])
+        if step[a] > 0:
+            at = int(min(max(guess, float(place[a])), float(low + BRICK - 1)))
+            while at > place[a] and not _before(at, start[a], step[a], nearest, a < axis):
+                at -= 1
+            while _before(at + 1, start[a], step[a], nearest, a < axis):
+                at += 1
+        else:
+            at = int(min(max(guess, float(low)), float(place[a])))
+            while at < place[a] and not _before(at + 1, start[a], step[a], nearest, a < axis):
+                at += 1
+            while _before(at, start[a], step[a], nearest, a < axis):
+                at -= 1
+        place[a] = at
+    low = place[axis] // BRICK * BRICK
+    place[axis] = min(low + BRICK, shape[axis]) if step[axis] > 0 else low - 1
+    return 0 <= place[axis] < shape[axis]
+
+
+@kernel()
+def _before(wall: int, start: float, step: float, nearest: float, first_if_equal: bool) -> bool:
+    """Whether the ray meets a wall of one axis before its nearest wall of another."""
+    crossing = (wall - start) / step
+    return crossing < nearest or (first_if_equal and crossing == nearest)
