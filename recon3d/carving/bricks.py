@@ -25,8 +25,7 @@ _MOST_STORED = np.iinfo(np.int32).max // BRICK**3  # rays keep flat places as 32
 class Bricks:
     """Occupancy that grows where it is carved: solid bricks are stored when something in them becomes visible."""
 
-    def __init__(self, origin: NDArray[np.float64], voxel_size: float, shape: NDArray[np.float64]) -> None:
-        """All solid, but for the bricks that reach over the lattice's end."""
+    def __init__(self, origin: NDArray[np.float64], shape: NDArray[np.float64], voxel_size: float) -> None:
         check_memory(_BYTES_PER_CELL * float(np.prod(np.ceil(shape / BRICK))), shape, voxel_size)
         self.origin, self.size = origin, voxel_size
         self.shape = shape.astype(np.int64)
@@ -51,6 +50,14 @@ class Bricks:
         """Refuse so many stored bricks if they would not fit into the memory that is free now."""
         needed = n_bricks * BYTES_PER_BRICK if n_bricks <= _MOST_STORED else np.inf
         check_memory(needed, self.shape, self.size, dimension=2)
+
+    def store_ends(self) -> None:
+        """Store the solid bricks that reach over the lattice's end, which are not solid throughout."""
+        beyond = np.zeros(self.slots.shape, np.bool_)
+        for axis in range(3):
+            if self.shape[axis] % BRICK:
+                np.moveaxis(beyond, axis, 0)[-1] = True
+        self.store(beyond & (self.slots == SOLID))
 
     def place(self, slots: NDArray[np.int32], distance: NDArray[np.float32]) -> None:
         """Take over a brick grid and the distance (n, 8, 8, 8) of its stored bricks; occupied is what is inside."""

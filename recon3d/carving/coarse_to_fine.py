@@ -6,10 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recon3d.carving.bricks import BrickItems, Bricks
+from recon3d.carving.generalized import all_carved, carve_to_agreement
 from recon3d.carving.photo_hull import Progress
 from recon3d.carving.views import ViewArrays
 from recon3d.carving.visual_hull import nothing_inside, silhouette_outlines
-from recon3d.kernels.bricks import BRICK, UNDECIDED
+from recon3d.carving.voxel_coloring import Connectivity, neighbour_offsets
+from recon3d.consistency import ConsistencyTest, FuzzyAdaptiveHysteresis, Verdict
+from recon3d.kernels.bricks import BRICK, UNDECIDED, grow_support
 from recon3d.kernels.silhouettes import bound_bricks, sample_bricks
 from recon3d.scene import Scene
 from recon3d.sparse import SparseVolume
@@ -54,7 +57,7 @@ def hull_bricks(scene: Scene, voxel_size: float, *, tolerance: int = 0) -> Brick
     """Visual hull in bricks, with the distance to it."""
     origin, shape = enclosing_lattice(scene.bounds, voxel_size)
     outlines = silhouette_outlines(scene, tolerance)
-    hull = Bricks(origin, voxel_size, shape)
+    hull = Bricks(origin, shape, voxel_size)
     lattice = (hull.shape, origin, voxel_size)
     limit = BAND * voxel_size
 
@@ -74,6 +77,85 @@ def hull_bricks(scene: Scene, voxel_size: float, *, tolerance: int = 0) -> Brick
     if not hull.n_occupied:
         raise nothing_inside(scene, lambda alone: hull_bricks(alone, voxel_size).n_occupied / float(shape.prod()))
     return hull
+
+
+def fine_generalized_voxel_coloring(
+    scene: Scene,
+    voxel_size: float,
+    test: ConsistencyTest | None = None,
+    *,
+    connectivity: Connectivity = 26,
+    max_rounds: int = 1000,
+    progress: Progress | None = None,
+) -> SparseVolume:
+    """Generalised voxel colouring on a fine lattice, in memory and time that grow with the surface.
+
+    The same voxels and colours as ``generalized_voxel_coloring`` on the lattice that encloses the scene's bounds, from
+    the visual hull where there are silhouettes, else from the whole lattice. Rays pass by empty bricks in one step,
+    and a solid brick is stored when the first ray meets it.
+
+    Voxels much smaller than a pixel's footprint are seen by few pixels each, and by some test's reading one pixel
+    always agrees with itself: the scene's ``pixel_footprint`` is the finest size at which carving says much.
+
+    Parameters
+    ----------
+    voxel_size : edge length, world units.
+    test : the photo-consistency test; the paper's fuzzy test when None.
+    connectivity : neighbours that carry a candidate: 6 (faces), 18 (edges), 26 (corners).
+    max_rounds : stop after so many rounds, with what is left then.
+    progress : called with the number of rounds done and the most there may be.
+
+    Raises
+    ------
+    VolumeTooLargeError : the bricks near the surface would not fit into the memory that is free now.
+    EmptyReconstructionError : nothing is inside all silhouettes, or every visible voxel was carved.
+
+    References
+    ----------
+    Culbertson, Malzbender, Slabaugh, "Generalized voxel coloring", Vision Algorithms 1999.
+    """
+    test = FuzzyAdaptiveHysteresis() if test is None else test
+    if any(view.silhouette is not None for view in scene.views):
+        bricks = hull_bricks(scene, voxel_size)
+    else:
+        bricks = Bricks(*enclosing_lattice(scene.bounds, voxel_size), voxel_size)
+        bricks.store_ends()
+    started = bricks.n_occupied
+
+    state = _SparseState(bricks, BrickItems(ViewArrays(scene), bricks), connectivity)
+    carve_to_agreement(state, test, max_rounds=max_rounds, progress=progress)
+    if not bricks.n_occupied:
+        raise all_carved(scene, test, started, f"voxels of {voxel_size:.4g}")
+    return bricks.colored(state.buffer)
+
+
+class _SparseState:
+    """Generalised voxel colouring of bricks."""
+
+    def __init__(self, bricks: Bricks, buffer: BrickItems, connectivity: Connectivity) -> None:
+        self.bricks, self.buffer = bricks, buffer
+        self.patches = buffer.patches
+        self.consistent = np.zeros(0, np.bool_)
+        self.offsets = neighbour_offsets(connectivity)
+
+    def advance(self) -> NDArray[np.int64]:
+        newly_hit = self.buffer.advance()
+        stored = np.zeros(self.bricks.n_places - len(self.consistent), np.bool_)
+        self.consistent = np.concatenate([self.consistent, stored])
+        return newly_hit
+
+    def note(self, voxels: NDArray[np.int64], verdict: Verdict, n_views: NDArray[np.int64]) -> None:  # noqa: ARG002
+        self.consistent[voxels] = verdict.degree >= verdict.high
+
+    def unsupported(self) -> NDArray[np.int64]:
+        visible = self.buffer.visible_mask()
+        supported = visible & self.consistent
+        seeds, n_visible = np.flatnonzero(supported), int(np.count_nonzero(visible))
+        grow_support(self.bricks.slots, self.bricks.bricks, visible, self.offsets, supported, seeds, n_visible)
+        return np.flatnonzero(visible & ~supported)
+
+    def carve(self, voxels: NDArray[np.int64]) -> None:
+        self.bricks.occupied.reshape(-1)[voxels] = False
 
 
 def _no_field(n_bricks: int) -> NDArray[np.float32]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Protocol
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import generate_binary_structure, label
@@ -11,7 +13,7 @@ from recon3d.carving.photo_hull import Label, PhotoHull, Progress
 from recon3d.carving.views import ViewArrays
 from recon3d.carving.visual_hull import color_visible, hull_distance
 from recon3d.carving.voxel_coloring import Connectivity
-from recon3d.consistency import ConsistencyTest, FuzzyAdaptiveHysteresis
+from recon3d.consistency import ConsistencyTest, FuzzyAdaptiveHysteresis, Patches, Verdict
 from recon3d.errors import EmptyReconstructionError
 from recon3d.scene import Scene
 from recon3d.volume import CarvingVolume
@@ -64,61 +66,93 @@ def generalized_voxel_coloring(
     hull.labels[volume.occupied & ~occupied] = Label.BACKGROUND
     started = int(np.count_nonzero(occupied))
 
-    buffer = ItemBuffer(views, volume)
-    consistent = np.zeros(occupied.size, np.bool_)
-    structure = generate_binary_structure(3, {6: 1, 18: 2, 26: 3}[connectivity])
+    state = _DenseState(hull, occupied, ItemBuffer(views, volume), connectivity)
+    carve_to_agreement(state, test, max_rounds=max_rounds, progress=progress)
+    if not occupied.any():
+        raise all_carved(scene, test, started, hull.count_text())
+    hull.labels[occupied] = Label.HIDDEN
+    color_visible(hull, state.buffer, occupied)
+    return hull
+
+
+class CarvingState(Protocol):
+    """Voxels under generalised voxel colouring, by flat numbers that stay theirs, whatever they are kept in."""
+
+    def advance(self) -> NDArray[np.int64]:
+        """Let pixels see past what was carved; the voxels that some pixel newly sees, ascending."""
+
+    def patches(self, voxels: NDArray[np.int64]) -> Patches:
+        """All pixels that see voxels now."""
+
+    def note(self, voxels: NDArray[np.int64], verdict: Verdict, n_views: NDArray[np.int64]) -> None:
+        """Keep what the test says of voxels; a later verdict replaces an earlier one."""
+
+    def unsupported(self) -> NDArray[np.int64]:
+        """Visible voxels in components of visible voxels that hold no consistent one."""
+
+    def carve(self, voxels: NDArray[np.int64]) -> None:
+        """Empty voxels."""
+
+
+def carve_to_agreement(
+    state: CarvingState, test: ConsistencyTest, *, max_rounds: int, progress: Progress | None = None
+) -> None:
+    """Carve what the test rejects, then what nothing consistent supports, until both steps change nothing."""
     for rounds in range(max_rounds):
-        changed = buffer.advance(occupied)
-        if len(changed):
-            carved = _judge(hull, buffer, test, changed, consistent)
-        else:
-            carved = _unsupported(buffer.visible(), consistent, structure, occupied.shape)
+        changed = state.advance()
+        carved = _rejected(state, test, changed) if len(changed) else state.unsupported()
         if progress:
             progress(rounds + 1, max_rounds)
         if not len(changed) and not len(carved):
             break
-        occupied.ravel()[carved] = False
-        hull.labels.ravel()[carved] = Label.INCONSISTENT
-
-    if not occupied.any():
-        raise EmptyReconstructionError(
-            f"scene {scene.name}: the test {test!r} carved all {started:,} voxels that the silhouettes left "
-            f"({hull.count_text()})"
-        )
-    hull.labels[occupied] = Label.HIDDEN
-    color_visible(hull, buffer, occupied)
-    return hull
+        state.carve(carved)
 
 
-def _judge(
-    hull: PhotoHull,
-    buffer: ItemBuffer,
-    test: ConsistencyTest,
-    voxels: NDArray[np.int64],
-    consistent: NDArray[np.bool_],
-) -> NDArray[np.int64]:
-    """Test voxels (flat indices) on all pixels that see them now, note the consistent ones, return those to carve."""
-    patches = buffer.patches(voxels)
+def _rejected(state: CarvingState, test: ConsistencyTest, voxels: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Test voxels on all pixels that see them now, note the verdicts, return those to carve."""
+    patches = state.patches(voxels)
     verdict = test(patches)
     if len(verdict.degree) != len(voxels):
         raise ValueError(f"{test!r} judged {len(verdict.degree)} voxels of {len(voxels)}")
-    hull.degree.ravel()[voxels] = verdict.degree
-    hull.n_views.ravel()[voxels] = patches.n_views
-    accepted = verdict.degree >= verdict.high
-    consistent[voxels] = accepted
-    return voxels[~accepted & (verdict.degree <= verdict.low)]
+    state.note(voxels, verdict, patches.n_views)
+    return voxels[(verdict.degree < verdict.high) & (verdict.degree <= verdict.low)]
 
 
-def _unsupported(
-    visible: NDArray[np.int64],
-    consistent: NDArray[np.bool_],
-    structure: NDArray[np.bool_],
-    shape: tuple[int, ...],
-) -> NDArray[np.int64]:
-    """Visible voxels (flat indices) in components of visible voxels that hold no consistent one."""
-    surface = np.zeros(shape, np.bool_)
-    surface.ravel()[visible] = True
-    component, n = label(surface, structure)
-    supported = np.zeros(n + 1, np.bool_)
-    supported[component.ravel()[visible[consistent[visible]]]] = True
-    return np.asarray(visible[~supported[component.ravel()[visible]]])
+def all_carved(scene: Scene, test: ConsistencyTest, started: int, counts: str) -> EmptyReconstructionError:
+    """The error that no voxel is left of those that the carving started from."""
+    return EmptyReconstructionError(
+        f"scene {scene.name}: the test {test!r} carved all {started:,} voxels that the silhouettes left ({counts})"
+    )
+
+
+class _DenseState:
+    """Generalised voxel colouring of a dense volume."""
+
+    def __init__(
+        self, hull: PhotoHull, occupied: NDArray[np.bool_], buffer: ItemBuffer, connectivity: Connectivity
+    ) -> None:
+        self.hull, self.occupied, self.buffer = hull, occupied, buffer
+        self.patches = buffer.patches
+        self.consistent = np.zeros(occupied.size, np.bool_)
+        self.structure = generate_binary_structure(3, {6: 1, 18: 2, 26: 3}[connectivity])
+
+    def advance(self) -> NDArray[np.int64]:
+        return self.buffer.advance(self.occupied)
+
+    def note(self, voxels: NDArray[np.int64], verdict: Verdict, n_views: NDArray[np.int64]) -> None:
+        self.hull.degree.ravel()[voxels] = verdict.degree
+        self.hull.n_views.ravel()[voxels] = n_views
+        self.consistent[voxels] = verdict.degree >= verdict.high
+
+    def unsupported(self) -> NDArray[np.int64]:
+        visible = self.buffer.visible()
+        surface = np.zeros(self.occupied.shape, np.bool_)
+        surface.ravel()[visible] = True
+        component, n = label(surface, self.structure)
+        supported = np.zeros(n + 1, np.bool_)
+        supported[component.ravel()[visible[self.consistent[visible]]]] = True
+        return np.asarray(visible[~supported[component.ravel()[visible]]])
+
+    def carve(self, voxels: NDArray[np.int64]) -> None:
+        self.occupied.ravel()[voxels] = False
+        self.hull.labels.ravel()[voxels] = Label.INCONSISTENT
