@@ -16,7 +16,7 @@ from recon3d.kernels.ragged import mean_colors
 from recon3d.sparse import SparseVolume, brick_grid, count_occupied, stored_bricks
 from recon3d.volume import BAND, check_memory
 
-BYTES_PER_BRICK = 40 * BRICK**3
+BYTES_PER_BRICK = 96 * BRICK**3
 """Peak memory of carving and meshing for each stored brick, measured, rounded up."""
 _BYTES_PER_CELL = 16  # of the brick grid: its slots and the masks over it
 _MOST_STORED = np.iinfo(np.int32).max // BRICK**3  # rays keep flat places as 32-bit numbers
