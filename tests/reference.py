@@ -1,4 +1,4 @@
-"""Voxel colouring, literally: one voxel, one view, one pixel at a time, in exact fractions."""
+"""Voxel colouring, literally: one voxel, one view, one pixel at a time, in exact fractions; rays by brute force."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recon3d.carving import Label
+from recon3d.rendering import pixel_rays
 from recon3d.scene import Scene, View
 from recon3d.volume import CarvingVolume
 
@@ -179,3 +180,24 @@ def layers(voxels: list[Voxel], direction: NDArray[np.float64], layering: str) -
     for voxel in near_to_far:
         slabs.setdefault(floor(depth[voxel] - depth[near_to_far[0]]), []).append(voxel)
     return [slabs[n] for n in sorted(slabs)]
+
+
+def brute_force_items(scene: Scene, volume: CarvingVolume, occupied: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """First occupied voxel of each foreground pixel's ray by slab tests against every occupied voxel."""
+    voxels = np.argwhere(occupied)
+    low = volume.origin + voxels * volume.voxel_size
+    flat = np.ravel_multi_index(tuple(voxels.T), volume.shape)
+    answer = []
+    for view in scene.views:
+        center, rays = pixel_rays(view.K, view.cam_from_world, view.width, view.height)
+        items = np.full((view.height, view.width), -1)
+        for row, column in np.argwhere(view.silhouette):
+            with np.errstate(divide="ignore"):
+                a = (low - center) / rays[row, column]
+                b = (low + volume.voxel_size - center) / rays[row, column]
+            near, far = np.minimum(a, b).max(axis=1), np.maximum(a, b).min(axis=1)
+            hit = np.flatnonzero(near < far)
+            if len(hit):
+                items[row, column] = flat[hit[near[hit].argmin()]]
+        answer.append(items)
+    return np.stack(answer)

@@ -9,6 +9,7 @@ import numpy as np
 import open3d as o3d
 import pytest
 from numpy.typing import NDArray
+from reference import brute_force_items
 from scenes import ball_mesh, cameras, photographs
 from scipy.spatial import cKDTree
 
@@ -21,7 +22,7 @@ from recon3d.consistency import Patches, StandardDeviation, Verdict
 from recon3d.datasets.synthetic import BuiltInScene, little_temple
 from recon3d.errors import EmptyReconstructionError, SceneError
 from recon3d.evaluation import distance_to_mesh, evaluate
-from recon3d.rendering import count_seeing_views, pixel_rays, without_unseen
+from recon3d.rendering import count_seeing_views, without_unseen
 from recon3d.scene import Scene, View, make_bounds
 from recon3d.silhouettes import without_silhouettes
 from recon3d.surface import mesh_volume
@@ -117,27 +118,6 @@ def test_what_lies_outside_an_image_is_unknown(temple: BuiltInScene) -> None:
     pixels, _ = view.project(beyond)
     outside = (pixels[:, 0] > half).reshape(volume.shape)
     assert alone.solid.occupied[outside].all()
-
-
-def brute_force_items(scene: Scene, volume: CarvingVolume, occupied: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """First occupied voxel of each foreground pixel's ray by slab tests against every occupied voxel."""
-    voxels = np.argwhere(occupied)
-    low = volume.origin + voxels * volume.voxel_size
-    flat = np.ravel_multi_index(tuple(voxels.T), volume.shape)
-    answer = []
-    for view in scene.views:
-        center, rays = pixel_rays(view.K, view.cam_from_world, view.width, view.height)
-        items = np.full((view.height, view.width), -1)
-        for row, column in np.argwhere(view.silhouette):
-            with np.errstate(divide="ignore"):
-                a = (low - center) / rays[row, column]
-                b = (low + volume.voxel_size - center) / rays[row, column]
-            near, far = np.minimum(a, b).max(axis=1), np.maximum(a, b).min(axis=1)
-            hit = np.flatnonzero(near < far)
-            if len(hit):
-                items[row, column] = flat[hit[near[hit].argmin()]]
-        answer.append(items)
-    return np.stack(answer)
 
 
 def test_the_item_buffer_is_brute_force_ray_casting_after_every_round() -> None:
@@ -312,3 +292,13 @@ def test_what_a_monotone_test_accepts_is_never_carved(temple: BuiltInScene) -> N
     again = generalized_voxel_coloring(temple.scene, volume.with_occupancy(kept), in_range)
     np.testing.assert_array_equal(again.solid.occupied, carved.solid.occupied)
     assert kept.sum() < visual_hull(temple.scene, volume).solid.n_occupied
+
+
+def test_distances_to_an_outline_are_the_same_at_every_call() -> None:
+    rng = np.random.default_rng(0)
+    mask = rng.random((50, 70)) < 0.995
+    first = outline_distance(mask)
+    kept = []
+    for _ in range(100):
+        kept.append(np.empty(rng.integers(10, 5000), np.uint8))  # so that results lie elsewhere in memory
+        np.testing.assert_array_equal(outline_distance(mask), first)

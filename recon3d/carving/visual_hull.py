@@ -131,11 +131,17 @@ def outline_distance(mask: NDArray[np.bool_]) -> NDArray[np.float32]:
     inside = mask.astype(np.uint8)
     if inside.all() or not inside.any():
         return np.full(mask.shape, np.hypot(*mask.shape) * (1 if inside.any() else -1), np.float32)
-    to_outside = cv2.distanceTransform(inside, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-    to_inside = cv2.distanceTransform(1 - inside, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    to_outside, to_inside = _distance_to_zero(inside), _distance_to_zero(1 - inside)
     # The outline runs half a pixel beside the pixel centres that the distances are between.
     signed = np.where(mask, to_outside - 0.5, 0.5 - to_inside).astype(np.float32)
     return np.asarray(cv2.GaussianBlur(signed, (0, 0), 1.0), np.float32)
+
+
+def _distance_to_zero(mask: NDArray[np.uint8]) -> NDArray[np.float64]:
+    """(height, width) distance of every pixel to the nearest one that is zero, pixels."""
+    distance = cv2.distanceTransform(mask, cv2.DIST_L2, cv2.DIST_MASK_PRECISE).astype(np.float64)
+    # OpenCV's last bits change from call to call; squares of these distances are whole numbers.
+    return np.asarray(np.sqrt(np.rint(distance**2)))
 
 
 def color_visible(hull: PhotoHull, buffer: ItemBuffer, occupied: NDArray[np.bool_]) -> None:
