@@ -3,6 +3,8 @@ from .carving import (
     METHODS,
     Label,
     PhotoHull,
+    fine_generalized_voxel_coloring,
+    fine_visual_hull,
     generalized_voxel_coloring,
     largest_admissible_views,
     probabilistic_space_carving,
@@ -55,7 +57,8 @@ from .silhouettes import (
     with_threshold_silhouettes,
     without_silhouettes,
 )
-from .surface import mesh_volume, surface_points
+from .sparse import SparseVolume
+from .surface import mesh_sparse, mesh_volume, surface_points
 from .volume import CarvingVolume
 
 __all__ = [
@@ -79,6 +82,7 @@ __all__ = [
     "Scene",
     "SceneError",
     "Settings",
+    "SparseVolume",
     "StandardDeviation",
     "Verdict",
     "View",
@@ -89,10 +93,13 @@ __all__ = [
     "error_map",
     "evaluate",
     "evaluate_files",
+    "fine_generalized_voxel_coloring",
+    "fine_visual_hull",
     "generalized_voxel_coloring",
     "largest_admissible_views",
     "little_temple",
     "make_bounds",
+    "mesh_sparse",
     "mesh_volume",
     "open_scene",
     "plot_evaluation",

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from recon3d.errors import EmptyReconstructionError
 from recon3d.html import Summarised, thumbnails
-from recon3d.kernels.bricks import BRICK, SOLID, copy_box, surface_voxels
+from recon3d.kernels.bricks import BRICK, SOLID, copy_box, exposed_bricks, surface_voxels
 from recon3d.volume import BAND, BYTES_PER_VOXEL, CarvingVolume, check_memory
 
 
@@ -67,6 +67,10 @@ class SparseVolume(Summarised):
             array = getattr(self, name)
             if array is not None and (array.shape != expected or array.dtype != dtype):
                 raise ValueError(f"expected {name} {expected} {dtype.__name__}, got {array.shape} {array.dtype}")
+        exposed = np.zeros(grid, np.bool_)
+        exposed_bricks(self.slots, self.occupied, exposed)
+        if exposed.any():
+            raise ValueError(f"{np.count_nonzero(exposed)} solid bricks border on an empty voxel: they must be stored")
 
     @property
     def bounds(self) -> o3d.geometry.AxisAlignedBoundingBox:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from recon3d.datasets.synthetic import Camera, photograph, ring
 from recon3d.scene import Scene, View, make_bounds
+from recon3d.sparse import SparseVolume
 from recon3d.volume import CarvingVolume
 
 ORIGIN = np.zeros(3)
@@ -121,6 +122,13 @@ def ball_volume(radius: float, n: int = 24, *, half_side: float = 1.25) -> Carvi
     colors[centers[..., 0] > 0] = (200, 0, 0)
     colors[centers[..., 0] <= 0] = (0, 0, 100)
     return CarvingVolume(volume.origin, volume.voxel_size, np.linalg.norm(centers, axis=-1) <= radius, colors)
+
+
+def mask_of(volume: SparseVolume, voxels: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """(nx, ny, nz) mask of voxels (n, 3)."""
+    mask = np.zeros(volume.shape, np.bool_)
+    mask[tuple(voxels.T)] = True
+    return mask
 
 
 def edge_counts(mesh: o3d.geometry.TriangleMesh) -> NDArray[np.int64]:

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from typing import NamedTuple
 
+from recon3d.carving.coarse_to_fine import fine_generalized_voxel_coloring, fine_visual_hull
 from recon3d.carving.generalized import generalized_voxel_coloring
 from recon3d.carving.photo_hull import Label, PhotoHull
 from recon3d.carving.probabilistic import probabilistic_space_carving
@@ -40,6 +41,8 @@ __all__ = [
     "Method",
     "PhotoHull",
     "SweepDirection",
+    "fine_generalized_voxel_coloring",
+    "fine_visual_hull",
     "generalized_voxel_coloring",
     "largest_admissible_views",
     "probabilistic_space_carving",
