@@ -33,6 +33,7 @@ from recon3d.carving import (
 )
 from recon3d.carving.bricks import BYTES_PER_BRICK, BrickItems, Bricks
 from recon3d.carving.views import ViewArrays
+from recon3d.carving.visual_hull import outline_distance
 from recon3d.consistency import ConsistencyTest, FuzzyAdaptiveHysteresis, Patches, StandardDeviation, Verdict
 from recon3d.datasets.synthetic import BuiltInScene, little_temple
 from recon3d.errors import EmptyReconstructionError, SceneError, VolumeTooLargeError
@@ -125,6 +126,16 @@ def test_the_hull_stores_bricks_near_the_surface_alone(temple: BuiltInScene) -> 
     assert fine_volume / coarse_volume > 7.8
     # A surface has four times as many voxels at half the size; a rim of constant width in voxels brings it down.
     assert fine / coarse < 5
+
+
+def test_distances_to_an_outline_are_the_same_at_every_call() -> None:
+    rng = np.random.default_rng(0)
+    mask = rng.random((50, 70)) < 0.995
+    first = outline_distance(mask)
+    kept = []
+    for _ in range(100):
+        kept.append(np.empty(rng.integers(10, 5000), np.uint8))  # so that results lie elsewhere in memory
+        np.testing.assert_array_equal(outline_distance(mask), first)
 
 
 def test_rays_that_leave_a_brick_in_one_step_cross_the_walls_that_single_steps_cross() -> None:

@@ -292,13 +292,3 @@ def test_what_a_monotone_test_accepts_is_never_carved(temple: BuiltInScene) -> N
     again = generalized_voxel_coloring(temple.scene, volume.with_occupancy(kept), in_range)
     np.testing.assert_array_equal(again.solid.occupied, carved.solid.occupied)
     assert kept.sum() < visual_hull(temple.scene, volume).solid.n_occupied
-
-
-def test_distances_to_an_outline_are_the_same_at_every_call() -> None:
-    rng = np.random.default_rng(0)
-    mask = rng.random((50, 70)) < 0.995
-    first = outline_distance(mask)
-    kept = []
-    for _ in range(100):
-        kept.append(np.empty(rng.integers(10, 5000), np.uint8))  # so that results lie elsewhere in memory
-        np.testing.assert_array_equal(outline_distance(mask), first)
