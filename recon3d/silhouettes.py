@@ -124,6 +124,7 @@ def _grab_cut(view: View, level: float, within: NDArray[np.bool_]) -> NDArray[np
     part = np.ascontiguousarray(labels[cut])
     object_model, background_model = np.zeros((1, 65)), np.zeros((1, 65))
     image = np.ascontiguousarray(view.image[cut])
+    cv2.setRNGSeed(0)  # of this thread; GrabCut starts its clusters at random
     cv2.grabCut(image, part, (0, 0, 0, 0), background_model, object_model, 2, cv2.GC_INIT_WITH_MASK)
     mask = np.zeros_like(within)
     mask[cut] = (part == cv2.GC_FGD) | (part == cv2.GC_PR_FGD)
