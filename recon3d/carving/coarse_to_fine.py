@@ -135,6 +135,7 @@ class _SparseState:
     def __init__(self, bricks: Bricks, buffer: BrickItems, connectivity: Connectivity) -> None:
         self.bricks, self.buffer = bricks, buffer
         self.patches = buffer.patches
+        self.views, self.voxel_size = buffer.views, bricks.size
         self.consistent = np.zeros(0, np.bool_)
         self.offsets = neighbour_offsets(connectivity)
 
@@ -143,6 +144,11 @@ class _SparseState:
         stored = np.zeros(self.bricks.n_places - len(self.consistent), np.bool_)
         self.consistent = np.concatenate([self.consistent, stored])
         return newly_hit
+
+    def centers(self, voxels: NDArray[np.int64]) -> NDArray[np.float64]:
+        brick, *within = np.unravel_index(voxels, self.bricks.occupied.shape)
+        indices = BRICK * self.bricks.bricks[brick] + np.stack(within, axis=1)
+        return np.asarray(self.bricks.origin + self.voxel_size * (indices + 0.5))
 
     def note(self, voxels: NDArray[np.int64], verdict: Verdict, n_views: NDArray[np.int64]) -> None:  # noqa: ARG002
         self.consistent[voxels] = verdict.degree >= verdict.high

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import generate_binary_structure, label
 
 from recon3d.carving.item_buffer import ItemBuffer
+from recon3d.carving.judging import judge
 from recon3d.carving.photo_hull import Label, PhotoHull, Progress
 from recon3d.carving.views import ViewArrays
 from recon3d.carving.visual_hull import color_visible, hull_distance
@@ -78,11 +79,17 @@ def generalized_voxel_coloring(
 class CarvingState(Protocol):
     """Voxels under generalised voxel colouring, by flat numbers that stay theirs, whatever they are kept in."""
 
+    views: ViewArrays
+    voxel_size: float
+
     def advance(self) -> NDArray[np.int64]:
         """Let pixels see past what was carved; the voxels that some pixel newly sees, ascending."""
 
     def patches(self, voxels: NDArray[np.int64]) -> Patches:
         """All pixels that see voxels now."""
+
+    def centers(self, voxels: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Middles (n, 3) of voxels in the world."""
 
     def note(self, voxels: NDArray[np.int64], verdict: Verdict, n_views: NDArray[np.int64]) -> None:
         """Keep what the test says of voxels; a later verdict replaces an earlier one."""
@@ -111,9 +118,7 @@ def carve_to_agreement(
 def _rejected(state: CarvingState, test: ConsistencyTest, voxels: NDArray[np.int64]) -> NDArray[np.int64]:
     """Test voxels on all pixels that see them now, note the verdicts, return those to carve."""
     patches = state.patches(voxels)
-    verdict = test(patches)
-    if len(verdict.degree) != len(voxels):
-        raise ValueError(f"{test!r} judged {len(verdict.degree)} voxels of {len(voxels)}")
+    verdict = judge(test, patches, state.centers(voxels), state.voxel_size, state.views)
     state.note(voxels, verdict, patches.n_views)
     return voxels[(verdict.degree < verdict.high) & (verdict.degree <= verdict.low)]
 
@@ -133,11 +138,16 @@ class _DenseState:
     ) -> None:
         self.hull, self.occupied, self.buffer = hull, occupied, buffer
         self.patches = buffer.patches
+        self.views, self.voxel_size = buffer.views, hull.volume.voxel_size
         self.consistent = np.zeros(occupied.size, np.bool_)
         self.structure = generate_binary_structure(3, {6: 1, 18: 2, 26: 3}[connectivity])
 
     def advance(self) -> NDArray[np.int64]:
         return self.buffer.advance(self.occupied)
+
+    def centers(self, voxels: NDArray[np.int64]) -> NDArray[np.float64]:
+        indices = np.stack(np.unravel_index(voxels, self.occupied.shape), axis=1)
+        return np.asarray(self.hull.volume.origin + self.voxel_size * (indices + 0.5))
 
     def note(self, voxels: NDArray[np.int64], verdict: Verdict, n_views: NDArray[np.int64]) -> None:
         self.hull.degree.ravel()[voxels] = verdict.degree

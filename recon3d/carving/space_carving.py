@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from recon3d.carving.judging import judge
 from recon3d.carving.photo_hull import Label, PhotoHull, Progress
 from recon3d.carving.views import ViewArrays
 from recon3d.carving.voxel_coloring import Connectivity, neighbour_offsets
@@ -238,9 +239,8 @@ class _Carving:
             self.views.images, colors,
         )  # fmt: skip
         patches = Patches(colors, view_starts)
-        verdict = self.test(patches)
-        if len(verdict.degree) != len(voxels):
-            raise ValueError(f"{self.test!r} judged {len(verdict.degree)} voxels of {len(voxels)}")
+        origin, size = self.hull.volume.origin, self.hull.volume.voxel_size
+        verdict = judge(self.test, patches, origin + size * (voxels + 0.5), size, self.views)
         self.hull.record(voxels, verdict.degree, patches.n_views)
         return voxels, patches, verdict
 

@@ -27,6 +27,7 @@ class ViewArrays:
             self.free[n, : view.height, : view.width] = True if view.silhouette is None else view.silhouette
         self.foreground = self.free.copy()
         self.centers = np.stack([view.center for view in views])
+        self.focals = np.array([np.sqrt(abs(np.linalg.det(view.K[:2, :2]))) for view in views])  # pixels
         self.world_from_pixel = np.stack([view.cam_from_world[:3, :3].T @ np.linalg.inv(view.K) for view in views])
         self.integrals = np.stack([cv2.integral(mask.astype(np.uint8)) for mask in self.free])
 

@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from recon3d.carving.judging import judge
 from recon3d.carving.photo_hull import Label, PhotoHull, Progress
 from recon3d.carving.views import ViewArrays
 from recon3d.carving.visibility import require_sweep_direction
@@ -86,9 +87,7 @@ def voxel_coloring(
 
         shown, boxes = layer[visible], boxes[visible]
         patches = views.patches(boxes, counts[visible])
-        verdict = test(patches)
-        if len(verdict.degree) != len(shown):
-            raise ValueError(f"{test!r} judged {len(verdict.degree)} voxels of {len(shown)}")
+        verdict = judge(test, patches, volume.origin + volume.voxel_size * (shown + 0.5), volume.voxel_size, views)
         hull.record(shown, verdict.degree, patches.n_views)
 
         consistent = verdict.degree >= verdict.high

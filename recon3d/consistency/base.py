@@ -20,6 +20,24 @@ class Patches:
 
     An empty range: the view does not see the voxel. A voxel's last entry is the next one's first.
     """
+    directions: NDArray[np.float32] | None = None
+    """(n_voxels, n_views, 3) unit vectors, world frame, from each voxel's centre to the cameras, seeing it or not.
+
+    None unless the test has ``needs_directions = True``.
+    """
+    windows: NDArray[np.float32] | None = None
+    """(n_voxels, n_views, side * side) luminance, 0 to 255, of each view at the points of one small plane, row by row.
+
+    The plane goes through the voxel's centre and faces the views that see it. NaN throughout where a view does not
+    see the voxel or does not hold the whole window. None unless the test has ``window_side = side``.
+    """
+
+    def __post_init__(self) -> None:
+        n_voxels, n_views = self.view_starts.shape[0], self.view_starts.shape[1] - 1
+        if self.directions is not None and self.directions.shape != (n_voxels, n_views, 3):
+            raise ValueError(f"expected directions ({n_voxels}, {n_views}, 3), got {self.directions.shape}")
+        if self.windows is not None and self.windows.shape[:-1] != (n_voxels, n_views):
+            raise ValueError(f"expected windows ({n_voxels}, {n_views}, side * side), got {self.windows.shape}")
 
     @property
     def n_voxels(self) -> int:
@@ -46,6 +64,17 @@ class Patches:
     def voxel_of_pixel(self) -> NDArray[np.int64]:
         """(n_pixels,) voxel that each pixel belongs to, for ``np.bincount`` and the like."""
         return np.repeat(np.arange(self.n_voxels), np.diff(self.starts))
+
+    def part(self, start: int, stop: int) -> Patches:
+        """The voxels from start to stop (exclusive), as a batch of their own."""
+        bounds = self.starts
+        view_starts = self.view_starts[start:stop] - bounds[start]
+        return Patches(
+            self.colors[bounds[start] : bounds[stop]],
+            view_starts,
+            None if self.directions is None else self.directions[start:stop],
+            None if self.windows is None else self.windows[start:stop],
+        )
 
 
 @dataclass(frozen=True)
@@ -77,7 +106,25 @@ class Verdict:
 
 @runtime_checkable
 class ConsistencyTest(Protocol):
-    """Anything that judges a batch of voxels; plain numpy will do."""
+    """Anything that judges a batch of voxels; plain numpy will do.
+
+    A test that wants more than pixels says so by attributes, which the engines look for: ``needs_directions = True``
+    fills ``Patches.directions``, ``window_side = 5`` fills ``Patches.windows`` with 5x5 samples.
+    """
 
     def __call__(self, patches: Patches) -> Verdict:
         """Judge every voxel of the batch from its pixels alone; the batch may be empty."""
+
+
+def verdict_of(value: NDArray[np.float64], limit: NDArray[np.float64] | float) -> Verdict:
+    """Verdict of a test that accepts a measure of inconsistency (n_voxels,), 0 or more, at or below its limit.
+
+    The degree is limit / (limit + value), and 1 where the value is 0: it falls from 1 at perfect agreement through 1/2
+    at the limit towards 0, without a bound on the value, and means the same whatever the limit of a voxel is.
+    """
+    limit = np.broadcast_to(np.asarray(limit, np.float64), value.shape)
+    total = limit + value
+    # An infinite value over any limit is 0; no value at all agrees, even with no limit.
+    degree = np.divide(limit, total, out=np.ones_like(value), where=value > 0)
+    half = np.full(value.shape, 0.5)
+    return Verdict(degree, half, half)

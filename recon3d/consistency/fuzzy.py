@@ -1,7 +1,8 @@
-"""The paper's own test: fuzzy membership against two adaptive thresholds."""
+"""The paper's own test: fuzzy membership against two adaptive thresholds, or against one."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import accumulate
@@ -28,7 +29,30 @@ def alternating_harmonic(n: ArrayLike) -> NDArray[np.float64]:
 
 
 @dataclass(frozen=True)
-class FuzzyAdaptiveHysteresis:
+class _Membership:
+    """Parameters of the fuzzy membership (eq. 7), and the membership itself."""
+
+    intensity: Literal["luminance", "channels"] = "luminance"
+    """8-bit luminance, or the smallest of the three channels' ratios: the paper says "colour" and "intensities"."""
+    trim: float = 0.1
+    """Fraction of the pixels left out at either end as outliers."""
+
+    def __post_init__(self) -> None:
+        if self.intensity not in ("luminance", "channels"):
+            raise ValueError(f"expected intensity 'luminance' or 'channels', got {self.intensity!r}")
+        if not 0 <= self.trim < 0.5:
+            raise ValueError(f"expected 0 <= trim < 0.5, got {self.trim}")
+
+    def membership(self, patches: Patches) -> NDArray[np.float64]:
+        """mu(v) (n_voxels,) in [0, 1] (eq. 7)."""
+        degree = np.ones(patches.n_voxels)
+        for weights in _LUMINANCE if self.intensity == "luminance" else _CHANNELS:
+            decile_ratios(patches.colors, patches.starts, weights, self.trim, degree)
+        return degree
+
+
+@dataclass(frozen=True)
+class FuzzyAdaptiveHysteresis(_Membership):
     """Fuzzy membership with adaptive hysteresis thresholds.
 
     mu(v) is the lowest over the highest intensity of the voxel's pixels, all views together, between their first
@@ -44,21 +68,36 @@ class FuzzyAdaptiveHysteresis:
     adaptive hysteresis thresholding", IET Image Processing 7(8), 2013, eq. 7-9.
     """
 
-    intensity: Literal["luminance", "channels"] = "luminance"
-    """8-bit luminance, or the smallest of the three channels' ratios: the paper says "colour" and "intensities"."""
-    trim: float = 0.1
-    """Fraction of the pixels left out at either end as outliers."""
-
-    def __post_init__(self) -> None:
-        if self.intensity not in ("luminance", "channels"):
-            raise ValueError(f"expected intensity 'luminance' or 'channels', got {self.intensity!r}")
-        if not 0 <= self.trim < 0.5:
-            raise ValueError(f"expected 0 <= trim < 0.5, got {self.trim}")
-
     def __call__(self, patches: Patches) -> Verdict:
         """Membership mu and the two thresholds of every voxel."""
-        degree = np.ones(patches.n_voxels)
-        for weights in _LUMINANCE if self.intensity == "luminance" else _CHANNELS:
-            decile_ratios(patches.colors, patches.starts, weights, self.trim, degree)
         n_views = patches.n_views
-        return Verdict(degree, alternating_harmonic(2 * n_views), alternating_harmonic(2 * n_views + 1))
+        return Verdict(
+            self.membership(patches), alternating_harmonic(2 * n_views), alternating_harmonic(2 * n_views + 1)
+        )
+
+
+@dataclass(frozen=True)
+class FuzzySingle(_Membership):
+    """The fuzzy membership mu(v) against one threshold: consistent at mu >= T.
+
+    What the paper's Fig. 3 shows, to argue for the hysteresis: its best results are "around log(2)", where its two
+    adaptive thresholds meet for many views.
+
+    References
+    ----------
+    W. Barhoumi, M. C. Bakkay, E. Zargouba, "Automated photo-consistency test for voxel colouring based on fuzzy
+    adaptive hysteresis thresholding", IET Image Processing 7(8), 2013, eq. 7, section 3.3, Fig. 3.
+    """
+
+    threshold: float = math.log(2)
+    """T, in [0, 1]."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not 0 <= self.threshold <= 1:
+            raise ValueError(f"expected a threshold between 0 and 1, got {self.threshold}")
+
+    def __call__(self, patches: Patches) -> Verdict:
+        """Membership mu of every voxel against T."""
+        limit = np.full(patches.n_voxels, float(self.threshold))
+        return Verdict(self.membership(patches), limit, limit)

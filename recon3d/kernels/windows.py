@@ -1,0 +1,83 @@
+"""Small windows of the views, resampled on a plane through each voxel."""
+
+import numpy as np
+from numba import prange
+from numpy.typing import NDArray
+
+from recon3d.kernels import kernel
+
+
+@kernel(parallel=True)
+def sample_windows(
+    centers: NDArray[np.float64],
+    voxel_size: float,
+    counts: NDArray[np.int64],
+    cameras: NDArray[np.float64],
+    projections: NDArray[np.float64],
+    focals: NDArray[np.float64],
+    sizes: NDArray[np.int64],
+    images: NDArray[np.uint8],
+    side: int,
+    windows: NDArray[np.float32],
+) -> None:
+    """Luminance of every view at side x side points of a plane through each centre (n, 3); NaN: does not see it.
+
+    The plane faces the mean direction of the views with counts (n, n_views) above 0. Its points lie one mean pixel
+    footprint apart, or farther, so that they span the voxel.
+    """
+    n_views = counts.shape[1]
+    half = 0.5 * (side - 1)
+    for n in prange(centers.shape[0]):
+        windows[n] = np.nan
+        normal = np.zeros(3)
+        spacing = 0.0
+        seeing = 0
+        for view in range(n_views):
+            if counts[n, view] > 0:
+                toward = cameras[view] - centers[n]
+                distance = np.sqrt(np.sum(toward * toward))
+                normal += toward / distance
+                spacing += distance / focals[view]
+                seeing += 1
+        if seeing == 0:
+            continue
+        spacing = max(spacing / seeing, voxel_size / side)
+        length = np.sqrt(np.sum(normal * normal))
+        if length < 1e-6:  # cameras opposite each other face no common plane
+            normal[2] = length = 1.0
+        normal /= length
+        across = np.zeros(3)
+        if abs(normal[2]) < 0.9:  # along the horizon
+            across[0], across[1] = -normal[1], normal[0]
+        else:
+            across[0], across[2] = normal[2], -normal[0]
+        across *= spacing / np.sqrt(np.sum(across * across))
+        down = np.array(
+            [
+                normal[1] * across[2] - normal[2] * across[1],
+                normal[2] * across[0] - normal[0] * across[2],
+                normal[0] * across[1] - normal[1] * across[0],
+            ]
+        )
+        for view in range(n_views):
+            if counts[n, view] == 0:
+                continue
+            P = projections[view]
+            for sample in range(side * side):
+                point = centers[n] + (sample // side - half) * down + (sample % side - half) * across
+                depth = P[2, 0] * point[0] + P[2, 1] * point[1] + P[2, 2] * point[2] + P[2, 3]
+                u = (P[0, 0] * point[0] + P[0, 1] * point[1] + P[0, 2] * point[2] + P[0, 3]) / depth
+                v = (P[1, 0] * point[0] + P[1, 1] * point[1] + P[1, 2] * point[2] + P[1, 3]) / depth
+                if not (depth > 0.0 and 0.0 <= u <= sizes[view, 0] - 1 and 0.0 <= v <= sizes[view, 1] - 1):
+                    windows[n, view] = np.nan
+                    break
+                u0 = min(int(u), sizes[view, 0] - 2)
+                v0 = min(int(v), sizes[view, 1] - 2)
+                value = 0.0
+                for corner in range(4):
+                    du, dv = corner & 1, corner >> 1
+                    pixel = images[view, v0 + dv, u0 + du]
+                    # ITU-R BT.601
+                    luminance = 0.299 * pixel[0] + 0.587 * pixel[1] + 0.114 * pixel[2]
+                    value += (abs(1 - du - (u - u0))) * (abs(1 - dv - (v - v0))) * luminance
+                windows[n, view, sample] = value
