@@ -18,9 +18,11 @@ from .consistency import (
     TESTS,
     ConsistencyTest,
     FuzzyAdaptiveHysteresis,
+    Hysteresis,
     Patches,
     StandardDeviation,
     Verdict,
+    load_test,
 )
 from .datasets import SCENES, BuiltInScene, little_temple
 from .errors import (
@@ -72,6 +74,7 @@ __all__ = [
     "EmptyReconstructionError",
     "Evaluation",
     "FuzzyAdaptiveHysteresis",
+    "Hysteresis",
     "Label",
     "Patches",
     "PhotoHull",
@@ -98,6 +101,7 @@ __all__ = [
     "generalized_voxel_coloring",
     "largest_admissible_views",
     "little_temple",
+    "load_test",
     "make_bounds",
     "mesh_sparse",
     "mesh_volume",

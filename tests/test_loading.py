@@ -1,0 +1,97 @@
+"""Photo-consistency tests by name, the user's own among them."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from batches import outcome, patches_of
+
+from recon3d.consistency import TESTS, Minkowski, load_test
+
+SOURCE = """
+import numpy as np
+from recon3d.consistency import Verdict
+
+class AtLeast:
+    def __init__(self, level=0.5):
+        if level > 1:
+            raise ValueError("expected a level of 1 or less")
+        self.level = level
+    def __call__(self, patches):
+        limit = np.full(patches.n_voxels, self.level)
+        return Verdict(np.full(patches.n_voxels, 0.7), limit, limit)
+
+def of_level(patches, level=0.5):
+    return AtLeast(level)(patches)
+
+class Nothing:
+    pass
+
+ready = AtLeast(0.9)
+number = 3
+"""
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A current directory with modules of the user's."""
+    (tmp_path / "users_own_tests.py").write_text(SOURCE)
+    (tmp_path / "users_broken.py").write_text("import a_module_that_is_not_there\n")
+    monkeypatch.chdir(tmp_path)
+    yield tmp_path
+    for name in ("users_own_tests", "users_broken"):
+        sys.modules.pop(name, None)
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "expected"),
+    [
+        ("AtLeast", {}, 1),
+        ("AtLeast", {"level": 0.8}, -1),
+        ("of_level", {}, 1),
+        ("of_level", {"level": 0.8}, -1),
+        ("ready", {}, -1),
+    ],
+)
+def test_a_users_own_test_is_loaded_from_the_current_directory(
+    here: Path, name: str, options: dict[str, object], expected: int
+) -> None:
+    before = list(sys.path)
+    test = load_test(f"users_own_tests:{name}", **options)
+    assert outcome(test(patches_of([[[[1, 2, 3]]]]))).tolist() == [expected]
+    assert sys.path == before
+    assert Path(sys.modules["users_own_tests"].__file__ or "").parent == here
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "message"),
+    [
+        ("nowhere_to_be_found:Test", {}, "no module 'nowhere_to_be_found' in"),
+        ("users_own_tests.inner:Test", {}, "no module 'users_own_tests.inner' in"),
+        ("users_broken:Test", {}, "cannot import users_broken: ModuleNotFoundError: No module named 'a_module"),
+        ("users_own_tests:Missing", {}, "users_own_tests has no Missing"),
+        ("users_own_tests:number", {}, "expected a class or function, got int"),
+        ("users_own_tests:Nothing", {}, "a Nothing cannot be called"),
+        ("users_own_tests:AtLeast", {"hight": 1}, "hight"),
+        ("users_own_tests:AtLeast", {"level": 2}, "expected a level of 1 or less"),
+        ("users_own_tests:of_level", {"hight": 1}, "hight"),
+        (":AtLeast", {}, "expected module:name"),
+        ("users_own_tests:", {}, "expected module:name"),
+        ("fuzzi", {}, "expected a test among fuzzy, .* or module:name, got 'fuzzi'"),
+        ("fuzzy", {"level": 1}, "fuzzy: .*level"),
+    ],
+)
+@pytest.mark.usefixtures("here")
+def test_what_cannot_be_loaded_is_said_in_one_line(name: str, options: dict[str, object], message: str) -> None:
+    with pytest.raises(ValueError, match=message) as caught:
+        load_test(name, **options)
+    assert "\n" not in str(caught.value)
+
+
+def test_the_tests_of_the_package_load_by_their_names() -> None:
+    for name, kind in TESTS.items():
+        assert load_test(name) == kind()
+    assert load_test("minkowski", norm="l1") == Minkowski("l1")
