@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, is_dataclass, replace
+from dataclasses import dataclass, field, fields, is_dataclass, replace
+from functools import partial
 from inspect import Parameter, signature
 from typing import Any, Literal
 
@@ -79,11 +80,20 @@ class Settings:
     def record(self) -> dict[str, Any]:
         """Every setting, for a JSON file; a test as its class and fields."""
         plain = {name: value for name, value in vars(self).items() if name != "test"}
-        fields: dict[str, Any] = (
-            asdict(self.test) if is_dataclass(self.test) and not isinstance(self.test, type) else {}
-        )
-        test = {"class": type(self.test).__qualname__, **fields} if self.test else None
+        test = _record_of(self.test) if self.test else None
         return {**plain, "method_options": dict(self.method_options), "test": test}
+
+
+def _record_of(test: Any) -> dict[str, Any]:
+    """Class or function of a test and its parameters; a test inside a test likewise."""
+    if isinstance(test, partial):
+        return {**_record_of(test.func), **test.keywords}
+    known = is_dataclass(test) and not isinstance(test, type)
+    parameters = {parameter.name: getattr(test, parameter.name) for parameter in fields(test)} if known else {}
+    return {
+        "class": getattr(test, "__qualname__", type(test).__qualname__),
+        **{name: _record_of(value) if callable(value) else value for name, value in parameters.items()},
+    }
 
 
 def choose_views(scene: Scene, settings: Settings) -> Scene:

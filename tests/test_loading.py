@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -9,7 +10,8 @@ from pathlib import Path
 import pytest
 from batches import outcome, patches_of
 
-from recon3d.consistency import TESTS, Minkowski, load_test
+from recon3d.consistency import TESTS, Hysteresis, Minkowski, load_test
+from recon3d.settings import Settings
 
 SOURCE = """
 import numpy as np
@@ -95,3 +97,19 @@ def test_the_tests_of_the_package_load_by_their_names() -> None:
     for name, kind in TESTS.items():
         assert load_test(name) == kind()
     assert load_test("minkowski", norm="l1") == Minkowski("l1")
+
+
+@pytest.mark.usefixtures("here")
+def test_the_record_of_a_run_names_a_users_own_test_and_its_options() -> None:
+    for test, expected in (
+        (load_test("users_own_tests:AtLeast"), {"class": "AtLeast"}),
+        (load_test("users_own_tests:of_level"), {"class": "of_level"}),
+        (load_test("users_own_tests:of_level", level=0.8), {"class": "of_level", "level": 0.8}),
+        (Hysteresis(load_test("users_own_tests:AtLeast")),
+         {"class": "Hysteresis", "test": {"class": "AtLeast"}, "margin": 0.05}),
+        (Hysteresis(Minkowski("l1", 3.0), None),
+         {"class": "Hysteresis", "test": {"class": "Minkowski", "norm": "l1", "threshold": 3.0}, "margin": None}),
+    ):  # fmt: skip
+        record = Settings(method="voxel-coloring", test=test).record()["test"]
+        assert record == expected
+        json.dumps(record)
