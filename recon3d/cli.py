@@ -132,7 +132,8 @@ def reconstruct(
         typer.Option(metavar="NAME=VALUE", help="Option of the method, such as connectivity=6; may be repeated."),
     ] = None,
     test: Annotated[
-        str | None, typer.Option(help="Photo-consistency test: fuzzy or standard-deviation, where the method uses one.")
+        str | None,
+        typer.Option(help="Photo-consistency test, where the method uses one: a name such as fuzzy, or module:name."),
     ] = None,
     test_option: Annotated[
         list[str] | None, typer.Option(metavar="NAME=VALUE", help="Parameter of the test; may be repeated.")

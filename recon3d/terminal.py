@@ -79,15 +79,13 @@ def save(result: Reconstruction, folder: Path, formats: list[str], *, pictures: 
 
 def make_test(name: str | None, options: list[str]) -> ConsistencyTest:
     """Photo-consistency test of a name, with NAME=VALUE options."""
-    from recon3d.consistency import TESTS
+    from recon3d.consistency import load_test
 
-    name = name or "fuzzy"
-    if name not in TESTS:
-        raise ValueError(f"--test: expected {' or '.join(TESTS)}, got {name!r}")
+    values = keywords(options)
     try:
-        return TESTS[name](**keywords(options))
-    except TypeError as error:
-        raise ValueError(f"--test-option: {error}") from None
+        return load_test(name or "fuzzy", **values)
+    except ValueError as error:
+        raise ValueError(f"{'--test-option' if values else '--test'}: {error}") from None
 
 
 def keywords(options: list[str]) -> dict[str, Any]:

@@ -91,7 +91,7 @@ def test_a_test_and_its_options_are_chosen_by_name(photographs: Path, tmp_path: 
     ("arguments", "message"),
     [
         (["reconstruct", "nowhere"], "nowhere: no such file or folder"),
-        (["reconstruct", "PHOTOGRAPHS", "--test", "magic"], "--test: expected fuzzy or standard-deviation"),
+        (["reconstruct", "PHOTOGRAPHS", "--test", "magic"], "--test: expected a test among fuzzy, "),
         (["reconstruct", "PHOTOGRAPHS", "--test-option", "colour=3"], "--test-option: "),
         (["reconstruct", "PHOTOGRAPHS", "--voxel-size", "1e-7"], "a voxel size of"),
         (["reconstruct", "PHOTOGRAPHS", "--bounds", "1,2,3"], "--bounds: expected six numbers"),

@@ -10,7 +10,13 @@ from batches import outcome, patches_of, random_batch
 from numpy.typing import ArrayLike
 from scipy.stats import chi2, f
 
-from recon3d.carving import PhotoHull, generalized_voxel_coloring, space_carving, voxel_coloring
+from recon3d.carving import (
+    PhotoHull,
+    fine_generalized_voxel_coloring,
+    generalized_voxel_coloring,
+    space_carving,
+    voxel_coloring,
+)
 from recon3d.consistency import (
     TESTS,
     Adaptive,
@@ -256,6 +262,14 @@ def test_every_test_carves_some_of_the_temple_and_keeps_some(
     # In photographs of a quarter of the usual size some defaults find little to carve.
     assert counts["inconsistent"] >= 10
     assert counts["consistent"] > 50
+
+
+@pytest.mark.parametrize("test", [ColorCaching(), Correlation()])
+def test_bricks_hand_a_test_the_same_directions_and_windows(test: ConsistencyTest, temple: BuiltInScene) -> None:
+    volume = CarvingVolume.enclosing(temple.scene.bounds, n_voxels=20_000)
+    dense = generalized_voxel_coloring(temple.scene, volume, test)
+    sparse = fine_generalized_voxel_coloring(temple.scene, volume.voxel_size, test).dense()
+    np.testing.assert_array_equal(sparse.occupied, dense.solid.occupied)
 
 
 def test_space_carving_fills_what_a_test_asks_for(temple: BuiltInScene) -> None:

@@ -184,24 +184,25 @@ class Noting:
         return Verdict(degree, np.full(len(degree), 0.4), np.full(len(degree), 0.6))
 
 
-def judged_batch() -> tuple[Patches, NDArray[np.int64], ViewArrays, CarvingVolume]:
+def judged_batch() -> tuple[Patches, NDArray[np.float64], float, ViewArrays]:
     scene = arc_scene()
     volume = CarvingVolume.enclosing(scene.bounds, n_voxels=300)
     views = ViewArrays(scene)
     voxels = np.argwhere(volume.occupied)
     boxes, counts, _ = views.footprints(voxels, volume)
     visible = counts.any(axis=1)
-    return views.patches(boxes[visible], counts[visible]), voxels[visible], views, volume
+    centers = volume.origin + volume.voxel_size * (voxels[visible] + 0.5)
+    return views.patches(boxes[visible], counts[visible]), centers, volume.voxel_size, views
 
 
 def test_directions_point_from_the_voxels_centre_to_the_cameras() -> None:
-    patches, voxels, views, volume = judged_batch()
+    patches, centers, size, views = judged_batch()
     test = Noting()
-    judge(test, patches, voxels, views, volume)
+    judge(test, patches, centers, size, views)
     directions, windows = test.seen[0].directions, test.seen[0].windows
     assert directions is not None
     assert windows is not None
-    toward = views.centers - (volume.origin + volume.voxel_size * (voxels + 0.5))[:, None]
+    toward = views.centers - centers[:, None]
     expected = toward / np.linalg.norm(toward, axis=-1, keepdims=True)
     np.testing.assert_allclose(directions, expected, atol=1e-6)  # float32
     assert directions.dtype == windows.dtype == np.float32
@@ -209,11 +210,11 @@ def test_directions_point_from_the_voxels_centre_to_the_cameras() -> None:
 
 
 def test_a_batch_judged_in_parts_gives_one_verdict(monkeypatch: pytest.MonkeyPatch) -> None:
-    patches, voxels, views, volume = judged_batch()
-    whole = judge(Noting(), patches, voxels, views, volume)
+    patches, centers, size, views = judged_batch()
+    whole = judge(Noting(), patches, centers, size, views)
     monkeypatch.setattr("recon3d.carving.judging._NUMBERS", 7 * 36)
     test = Noting()
-    parts = judge(test, patches, voxels, views, volume)
+    parts = judge(test, patches, centers, size, views)
     assert [part.n_voxels for part in test.seen[:-1]] == [7] * (len(test.seen) - 1)
     assert len(test.seen) > 3
     for name in ("degree", "low", "high"):
@@ -221,7 +222,7 @@ def test_a_batch_judged_in_parts_gives_one_verdict(monkeypatch: pytest.MonkeyPat
 
 
 def test_a_test_that_asks_for_nothing_gets_no_more_than_pixels() -> None:
-    patches, voxels, views, volume = judged_batch()
+    patches, centers, size, views = judged_batch()
     seen = []
 
     def plain(given: Patches) -> Verdict:
@@ -229,7 +230,7 @@ def test_a_test_that_asks_for_nothing_gets_no_more_than_pixels() -> None:
         one = np.ones(given.n_voxels)
         return Verdict(one, one, one)
 
-    judge(plain, patches, voxels, views, volume)
+    judge(plain, patches, centers, size, views)
     assert seen[0].directions is None
     assert seen[0].windows is None
 

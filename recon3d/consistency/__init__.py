@@ -31,7 +31,7 @@ TESTS: dict[str, Callable[..., ConsistencyTest]] = {
 }
 
 
-def load_test(name: str, **options: object) -> ConsistencyTest:
+def load_test(name: str, /, **options: object) -> ConsistencyTest:
     """A photo-consistency test by name: one of ``TESTS``, or the user's own as "module:name".
 
     The module is imported from the current directory or wherever Python finds it. A class is called with the options;
