@@ -12,8 +12,21 @@ from typing import Annotated, Any
 import typer
 
 from recon3d._version import __version__
-from recon3d.errors import Recon3dError
-from recon3d.terminal import beside, keywords, load, make_test, mesh_of, photograph, progress, run, save, say
+from recon3d.errors import DataError, Recon3dError
+from recon3d.terminal import (
+    beside,
+    keywords,
+    load,
+    make_test,
+    mesh_of,
+    photograph,
+    progress,
+    record_of,
+    run,
+    save,
+    say,
+    writable,
+)
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -77,7 +90,7 @@ def demo(
     from recon3d.io import write_geometry, write_middlebury
     from recon3d.settings import Settings
 
-    folder = output or Path("recon3d-output/demo")
+    folder = writable(output or Path("recon3d-output/demo"))
     built_in = photograph("little-temple", noise=noise, light_change=light_change)
     photographs = write_middlebury(built_in.scene, folder / "photographs")
     scene = replace(built_in.scene, notes={"format": "Middlebury", "source": str(photographs.resolve())})
@@ -175,8 +188,8 @@ def reconstruct(
     )
     truth = read_mesh(ground_truth) if ground_truth else None
     loaded = load(scene, bounds, silhouettes, mm_per_unit)
+    folder = writable(output or Path("recon3d-output") / loaded.name)
     result = run(loaded, settings, truth)
-    folder = output or Path("recon3d-output") / loaded.name
     written = save(result, folder, [name.value for name in mesh_format or [MeshFormat.ply]], pictures=pictures)
     say(result.summary())
     say(written)
@@ -189,7 +202,9 @@ def evaluate(
     output: OutputOption = None,
     accuracy_percent: PercentOption = 90.0,
     completeness_threshold: ThresholdOption = 1.25,
-    mm_per_unit: UnitOption = 1000.0,
+    mm_per_unit: Annotated[
+        float | None, typer.Option(metavar="MM", help="Millimetres in one world unit [default: the result's, or 1000].")
+    ] = None,
     real: Annotated[
         Path | None,
         typer.Option(metavar="MESH", help="The part of GROUND_TRUTH that is real data; the rest is filler."),
@@ -205,6 +220,9 @@ def evaluate(
     from recon3d.io import read_geometry
     from recon3d.pipeline import evaluate_files, save_error_maps
 
+    folder = writable(output or beside(reconstruction, "evaluation"))
+    record = record_of(reconstruction) if mm_per_unit is None else None
+    unit = mm_per_unit or (record["mm_per_unit"] if record else 1000.0)
     with progress() as report:
         report("measuring", 0, 1)
         measured = evaluate_files(
@@ -212,19 +230,18 @@ def evaluate(
             ground_truth,
             real=real,
             real_within_mm=real_within,
-            mm_per_unit=mm_per_unit,
+            mm_per_unit=unit,
             accuracy_percent=accuracy_percent,
             completeness_threshold_mm=completeness_threshold,
             seed=seed,
         )
         report("measuring", 1, 1)
-    folder = output or beside(reconstruction, "evaluation")
     written = save_evaluation(measured, folder)
     files = mesh_of(reconstruction), ground_truth
     if all(isinstance(read_geometry(file), TriangleMesh) for file in files):
         with progress() as report:
             report("error maps", 0, 1)
-            written |= save_error_maps(*files, folder, mm_per_unit=mm_per_unit, full_scale_mm=error_scale)
+            written |= save_error_maps(*files, folder, mm_per_unit=unit, full_scale_mm=error_scale)
             report("error maps", 1, 1)
     say(measured.summary())
     say(written)
@@ -239,26 +256,25 @@ def render(
     output: OutputOption = None,
 ) -> None:
     """Render a result from its input cameras, beside the photographs, and from all around."""
-    import json
-
+    from recon3d.datasets import SCENES
     from recon3d.io import read_mesh
     from recon3d.pipeline import save_pictures
 
     mesh = read_mesh(mesh_of(result))
-    record_file = (result if result.is_dir() else result.parent) / "record.json"
-    names: list[str] | None = None
-    if scene is None:
-        if not record_file.is_file():
-            raise Recon3dError(f"{record_file} is missing, so the cameras are not known; give --scene")
-        record = json.loads(record_file.read_text())
-        scene, names = record["scene"].get("source"), record["scene"]["views"]
-        if scene is None:
-            raise Recon3dError(f"{record_file} does not say where the scene is; give --scene")
-    loaded = load(scene, None, "none")
-    loaded = loaded.subset(names) if names else loaded
+    folder = writable(output or beside(result, "renders"))
+    record = record_of(result) if scene is None else None
+    if scene is None and (record is None or record["source"] is None):
+        raise DataError(
+            f"{result}: no record says which scene this was made of, so the cameras are not known; give --scene"
+        )
+    if record:
+        box = None if record["source"] in SCENES else ",".join(str(x) for corner in record["bounds"] for x in corner)
+        loaded = load(record["source"], box, "none", record["mm_per_unit"]).subset(record["views"])
+    else:
+        loaded = load(str(scene), None, "none")
     with progress() as report:
         report("rendering", 0, 1)
-        written = save_pictures(mesh, loaded, output or beside(result, "renders"), every_view=True)
+        written = save_pictures(mesh, loaded, folder, every_view=True)
         report("rendering", 1, 1)
     say(written)
 

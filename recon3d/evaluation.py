@@ -9,6 +9,7 @@ import open3d as o3d
 from matplotlib import colormaps
 from numpy.typing import NDArray
 
+from recon3d.casting import RayCaster
 from recon3d.html import Summarised
 from recon3d.volume import CarvingVolume
 
@@ -16,6 +17,9 @@ Shape = o3d.geometry.TriangleMesh | o3d.geometry.PointCloud | o3d.geometry.Voxel
 
 SAMPLES_PER_DIAGONAL = 1000
 """Samples lie about this fraction of the ground truth's bounding-box diagonal apart."""
+
+MOST_SAMPLES = 1e8
+"""More samples of one mesh than this are a mistake."""
 
 MEASURED_SHARE = 4
 """Distances are measured from every fourth sample of a mesh, to all of the other's."""
@@ -59,7 +63,7 @@ class Evaluation(Summarised):
     def curves(self, n: int = 100) -> dict[str, list[float]]:
         """Both cumulative distributions, in percent, at n distances up to the larger 99% quantile."""
         largest = max(np.quantile(self.accuracy_distances, 0.99), np.quantile(self.completeness_distances, 0.99))
-        distance = np.linspace(0, float(largest), n)
+        distance = np.linspace(0, max(float(largest), self.completeness_threshold_mm), n)
 
         def percent_within(sorted_distances: NDArray[np.float64]) -> list[float]:
             within = np.searchsorted(sorted_distances, distance, side="right")
@@ -132,8 +136,11 @@ def evaluate(
     """
     if not 0 < accuracy_percent <= 100:
         raise ValueError(f"expected an accuracy percentage in (0, 100], got {accuracy_percent}")
-    if not (completeness_threshold_mm > 0 and mm_per_unit > 0):
-        raise ValueError("expected a positive completeness threshold and mm_per_unit")
+    if not (0 < completeness_threshold_mm < np.inf and 0 < mm_per_unit < np.inf):
+        raise ValueError(
+            f"expected a positive completeness threshold and mm_per_unit, got {completeness_threshold_mm} "
+            f"and {mm_per_unit}"
+        )
     if ground_truth.is_empty():
         raise ValueError(f"the {type(ground_truth).__name__} to evaluate against is empty")
     if spacing is None:
@@ -184,6 +191,8 @@ def error_map(
 
     Swap the two meshes to see what of the ground truth is missing.
     """
+    if not full_scale_mm > 0:
+        raise ValueError(f"expected a positive full scale, got {full_scale_mm}")
     distance = distance_to_mesh(np.asarray(mesh.vertices), ground_truth) * mm_per_unit
     colored = o3d.geometry.TriangleMesh(mesh)
     shades = colormaps["turbo"](np.clip(distance / full_scale_mm, 0, 1))[:, :3]
@@ -201,9 +210,7 @@ def triangles_near(
 
 def distance_to_mesh(points: NDArray[np.float64], mesh: o3d.geometry.TriangleMesh) -> NDArray[np.float64]:
     """(n,) exact distances of points (n, 3) to a mesh's triangles, world units."""
-    scene = o3d.t.geometry.RaycastingScene()
-    scene.add_triangles(o3d.t.geometry.TriangleMesh.from_legacy(mesh))
-    return np.asarray(scene.compute_distance(o3d.core.Tensor.from_numpy(points.astype(np.float32))).numpy(), np.float64)
+    return RayCaster(mesh).distances(points)
 
 
 def sample_surface(
@@ -233,7 +240,13 @@ def _sample_mesh(
     if not len(corners):
         raise ValueError("the mesh to evaluate has no triangles")
     area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-    n = max(round(float(area.sum()) / spacing**2), 1)
+    wanted = float(area.sum()) / spacing**2
+    if not wanted < MOST_SAMPLES:
+        raise ValueError(
+            f"measuring would take {wanted:.3g} samples of a mesh; expected two shapes of about one size: "
+            "are both in one unit, and finite?"
+        )
+    n = max(round(wanted), 1)
     # Stratified along the cumulated area, so that the density is even and every large triangle is met.
     position = (np.arange(n) + rng.random(n)) * (area.sum() / n)
     owner = np.minimum(np.searchsorted(np.cumsum(area), position, side="right"), len(area) - 1)

@@ -68,12 +68,15 @@ class Reconstruction(Summarised):
         unknown = [name for name in mesh_formats if name not in known]
         if unknown:
             raise ValueError(f"expected mesh formats among {', '.join(known)}, got {', '.join(unknown)}")
+        # The record tells a finished result: it goes first and comes last.
+        record = self.record()
+        (folder / "record.json").unlink(missing_ok=True)
         written = {f"mesh ({name})": write_geometry(folder / f"mesh.{name}", self.mesh) for name in mesh_formats}
         written["points"] = write_geometry(folder / "points.ply", self.points)
         written["voxel grid"] = write_geometry(folder / "voxels.ply", self.hull.volume.to_voxel_grid())
         if pictures:
             written |= save_pictures(self.mesh, self.scene, folder)
-        written["figures"] = write_json(folder / "record.json", self.record())
+        written["figures"] = write_json(folder / "record.json", record)
         return written
 
     def record(self) -> dict[str, Any]:

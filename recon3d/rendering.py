@@ -10,6 +10,7 @@ import numpy as np
 import open3d as o3d
 from numpy.typing import NDArray
 
+from recon3d.casting import RayCaster
 from recon3d.scene import Scene, View
 
 
@@ -67,18 +68,14 @@ class Renderer:
         self._triangles = np.asarray(mesh.triangles)
         self._normals = np.asarray(mesh.vertex_normals)
         self._colors = np.asarray(mesh.vertex_colors) if mesh.has_vertex_colors() else np.full_like(self._normals, 0.7)
-        self._scene = o3d.t.geometry.RaycastingScene()
-        self._scene.add_triangles(o3d.t.geometry.TriangleMesh.from_legacy(mesh))
+        self._caster = RayCaster(mesh)
 
     def render(self, K: NDArray[np.float64], cam_from_world: NDArray[np.float64], width: int, height: int) -> Rendering:
         """View of a camera with the full K (skew too), pixel centres at integers."""
         origin, directions = pixel_rays(K, cam_from_world, width, height)
-        rays = np.concatenate([np.broadcast_to(origin, directions.shape), directions], axis=-1)
-        answer = self._scene.cast_rays(o3d.core.Tensor.from_numpy(rays.astype(np.float32)))
-        depth = answer["t_hit"].numpy().astype(np.float64)
+        depth, triangle, uv = self._caster.first_hits(origin, directions)
         hit = np.isfinite(depth)
-        corners = self._triangles[answer["primitive_ids"].numpy()[hit]]
-        uv = answer["primitive_uvs"].numpy()[hit].astype(np.float64)
+        corners, uv = self._triangles[triangle[hit]], uv[hit]
         weights = np.column_stack([1 - uv.sum(axis=1), uv])
 
         def interpolated(values: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -103,14 +100,12 @@ def count_seeing_views(mesh: o3d.geometry.TriangleMesh, scene: Scene) -> NDArray
     vertices = np.asarray(mesh.vertices)
     # A vertex lies on triangles of its own, so its ray may end a little before it.
     slack = 1e-3 * float(np.linalg.norm(mesh.get_max_bound() - mesh.get_min_bound()))
-    caster = o3d.t.geometry.RaycastingScene()
-    caster.add_triangles(o3d.t.geometry.TriangleMesh.from_legacy(mesh))
+    caster = RayCaster(mesh)
     counts = np.zeros(len(vertices), np.int64)
     for view in scene.views:
         sight = vertices - view.center
         distance = np.linalg.norm(sight, axis=1)
-        rays = np.column_stack([np.broadcast_to(view.center, sight.shape), sight / distance[:, None]])
-        first = caster.cast_rays(o3d.core.Tensor.from_numpy(rays.astype(np.float32)))["t_hit"].numpy()
+        first, _, _ = caster.first_hits(view.center, sight / distance[:, None])
         counts += view.sees(vertices) & (first > distance - slack)
     return counts
 

@@ -213,7 +213,8 @@ class Scene(Summarised):
         repeated = sorted({name for name in names if names.count(name) > 1})
         if repeated:
             raise SceneError(f"scene {self.name}: views share a name: {', '.join(repeated)}")
-        if not self.mm_per_unit > 0:
+        object.__setattr__(self, "notes", dict(self.notes))
+        if not 0 < self.mm_per_unit < np.inf:
             raise ValueError(f"scene {self.name}: expected mm_per_unit > 0, got {self.mm_per_unit}")
         extent = np.asarray(self.bounds.get_extent())
         if not (np.isfinite(extent).all() and (extent > 0).all()):
@@ -250,9 +251,11 @@ class Scene(Summarised):
     def pixel_footprint(self) -> float:
         """Median size of a pixel at the centre of the bounds, world units."""
         middle = np.asarray(self.bounds.get_center())[None]
-        return float(
-            np.median([view.project(middle)[1][0] / np.sqrt(view.K[0, 0] * view.K[1, 1]) for view in self.views])
-        )
+        sizes = [view.project(middle)[1][0] / np.sqrt(view.K[0, 0] * view.K[1, 1]) for view in self.views]
+        before = [size for size in sizes if size > 0]
+        if not before:
+            raise SceneError(f"scene {self.name}: the centre of the bounds lies behind every camera")
+        return float(np.median(before))
 
     def summary(self) -> dict[str, object]:
         """Table of what the scene holds."""

@@ -8,9 +8,13 @@ from functools import partial
 from inspect import Parameter, signature
 from typing import Any, Literal
 
+import numpy as np
+
 from recon3d.carving import METHODS, largest_admissible_views, spread_views
 from recon3d.consistency import ConsistencyTest, FuzzyAdaptiveHysteresis
 from recon3d.scene import Scene
+
+_ACCEPTED = {int: (int, np.integer), float: (int, float, np.integer, np.floating), str: (str,)}
 
 
 @dataclass(frozen=True)
@@ -44,6 +48,8 @@ class Settings:
     """Pairs of Taubin steps on the mesh; 0: none."""
 
     def __post_init__(self) -> None:
+        if self.voxel_size is not None and not 0 < self.voxel_size < np.inf:
+            raise ValueError(f"expected a positive voxel size, got {self.voxel_size}")
         if self.voxel_size is not None:
             object.__setattr__(self, "n_voxels", None)
         if self.method != "auto" and self.method not in METHODS:
@@ -74,6 +80,13 @@ class Settings:
         unknown = [name for name in self.method_options if name not in options]
         if unknown:
             raise ValueError(f"{method} has no option {', '.join(unknown)}; it has {', '.join(options)}")
+        for parameter in parameters:
+            value, kinds = self.method_options.get(parameter.name), _ACCEPTED.get(type(parameter.default))
+            if value is not None and kinds and (isinstance(value, bool) or not isinstance(value, kinds)):
+                expected = type(parameter.default).__name__
+                raise ValueError(
+                    f"{method} option {parameter.name}: expected a value of type {expected}, got {value!r}"
+                )
         test = self.test or (FuzzyAdaptiveHysteresis() if kind.uses_test else None)
         return replace(self, method=method, test=test)
 

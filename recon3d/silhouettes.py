@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from recon3d.errors import DataError
 from recon3d.scene import Scene, View, bounds_corners
 
+_FAR = 1e6  # pixels; a corner nearly beside the camera, too far out for OpenCV to draw
 _RIM = 3  # pixels at the object's edge that may be either
 _HOLE = 10  # enclosed holes smaller than a disc of this radius in pixels are shadows
 
@@ -29,7 +30,7 @@ def foreground(image: NDArray[np.uint8], level: float = BACKGROUND_LEVEL) -> NDA
 def bounds_mask(scene: Scene, view: View) -> NDArray[np.bool_]:
     """Pixels (height, width) that the scene's bounds can project to; all where a corner is behind the camera."""
     pixels, depth = view.project(bounds_corners(scene.bounds))
-    if (depth <= 0).any():
+    if (depth <= 0).any() or np.abs(pixels).max() > _FAR:
         return np.ones((view.height, view.width), np.bool_)
     mask = np.zeros((view.height, view.width), np.uint8)
     outline = cv2.convexHull(pixels.astype(np.float32)).round().astype(np.int32)

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import ast
+import json
 import sys
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
+
+from recon3d.errors import DataError
 
 if TYPE_CHECKING:  # Open3D takes seconds to import, --help should not
     import open3d as o3d
@@ -26,9 +30,13 @@ def load(scene: str, bounds: str | None, silhouettes: str, mm_per_unit: float = 
     from recon3d.datasets import SCENES
     from recon3d.io import open_scene
     from recon3d.scene import make_bounds
+    from recon3d.silhouettes import without_silhouettes
 
     if scene in SCENES and not Path(scene).exists():
-        return photograph(scene).scene
+        if bounds is not None or silhouettes not in ("auto", "none") or mm_per_unit != 1000.0:
+            raise ValueError(f"{scene} is built in: it has its own bounds, silhouettes and unit")
+        built_in = photograph(scene).scene
+        return without_silhouettes(built_in) if silhouettes == "none" else built_in
     box = None
     if bounds is not None:
         try:
@@ -104,7 +112,34 @@ def keywords(options: list[str]) -> dict[str, Any]:
 
 def mesh_of(result: Path) -> Path:
     """The mesh file of a result folder, or the file itself."""
-    return result / "mesh.ply" if result.is_dir() else result
+    from recon3d.io.files import MESH_SUFFIXES
+
+    found = [result / f"mesh{suffix}" for suffix in MESH_SUFFIXES if (result / f"mesh{suffix}").is_file()]
+    if result.is_dir() and not found:
+        raise DataError(f"{result}: expected the folder of a result, with a mesh in it")
+    return found[0] if result.is_dir() else result
+
+
+def record_of(result: Path) -> dict[str, Any] | None:
+    """What is recorded of the scene of a result's folder or file; None without a record."""
+    file = (result if result.is_dir() else result.parent) / "record.json"
+    if not file.is_file():
+        return None
+    try:
+        scene: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))["scene"]
+        return {name: scene[name] for name in ("views", "bounds", "mm_per_unit")} | {"source": scene.get("source")}
+    except (ValueError, KeyError, TypeError) as error:
+        raise DataError(f"{file}: expected the record of a run, got something else ({error!r})") from None
+
+
+def writable(folder: Path) -> Path:
+    """The folder, made if need be; an error before any work where nothing can be written to it."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            return folder
+    except OSError as error:
+        raise ValueError(f"--output {folder}: expected a folder that can be written ({error.strerror})") from None
 
 
 def beside(result: Path, name: str) -> Path:

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from recon3d.errors import EmptyReconstructionError, VolumeTooLargeError
 from recon3d.html import Summarised, thumbnails
 
-BYTES_PER_VOXEL = 40
+BYTES_PER_VOXEL = 80
 """Peak memory of carving and meshing, measured on full volumes, rounded up."""
 BAND = 3.0
 """Voxels beside the surface within which distance fields are kept."""

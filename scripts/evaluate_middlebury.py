@@ -36,4 +36,7 @@ def main(
 
 
 if __name__ == "__main__":
-    typer.run(main)
+    try:
+        typer.run(main)
+    except (recon3d.Recon3dError, ValueError, OSError) as error:
+        raise SystemExit(f"Error: {error}") from None

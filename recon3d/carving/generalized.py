@@ -13,7 +13,7 @@ from recon3d.carving.judging import judge
 from recon3d.carving.photo_hull import Label, PhotoHull, Progress
 from recon3d.carving.views import ViewArrays
 from recon3d.carving.visual_hull import color_visible, hull_distance
-from recon3d.carving.voxel_coloring import Connectivity
+from recon3d.carving.voxel_coloring import Connectivity, neighbour_offsets
 from recon3d.consistency import ConsistencyTest, FuzzyAdaptiveHysteresis, Patches, Verdict
 from recon3d.errors import EmptyReconstructionError
 from recon3d.scene import Scene
@@ -59,6 +59,7 @@ def generalized_voxel_coloring(
     what Barhoumi et al. name as their future work.
     """
     test = FuzzyAdaptiveHysteresis() if test is None else test
+    neighbour_offsets(connectivity)  # refuses what is no connectivity
     views = ViewArrays(scene)
     known = any(view.silhouette is not None for view in scene.views)
     field = hull_distance(scene, volume) if known else None

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from recon3d.carving.views import ViewArrays
 from recon3d.consistency import Patches
+from recon3d.errors import VolumeTooLargeError
 from recon3d.kernels.item_buffer import advance, collect_items, count_items, enter_volume
 from recon3d.volume import CarvingVolume
 
@@ -15,6 +16,9 @@ class SeenItems:
     """What every pixel sees, whatever the voxels are kept in."""
 
     def __init__(self, views: ViewArrays, n_places: int) -> None:
+        most = np.iinfo(np.int32).max
+        if n_places > most:
+            raise VolumeTooLargeError(f"{n_places:,} voxels are more than an item buffer can number ({most:,})")
         self.views = views
         self.n_places = n_places
         """Voxels that a pixel may see."""

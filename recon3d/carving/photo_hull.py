@@ -44,7 +44,8 @@ class PhotoHull(Summarised):
     n_views: NDArray[np.uint16]
     """(nx, ny, nz) N(v), views that saw the voxel when it was judged."""
     distance: NDArray[np.float32] | None = None
-    """(nx, ny, nz) signed distance of voxel centres to the visual hull, world units, positive inside; if known."""
+    """(nx, ny, nz) signed distance of voxel centres to a surface that holds the solid: the visual hull, or what votes
+    left of it; world units, positive inside; None where the method knows none."""
 
     @classmethod
     def untouched(cls, volume: CarvingVolume, distance: NDArray[np.float32] | None = None) -> PhotoHull:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 import open3d as o3d
@@ -12,6 +14,7 @@ from scipy.optimize import nnls
 from recon3d.errors import VisibilityError
 from recon3d.scene import Scene, bounds_corners
 
+_BLOCK = 10_000  # pairs of limits that are tried at once
 _STEP = 1e-4  # how far, in radians, candidate directions stand off the edges between cells
 
 
@@ -74,21 +77,21 @@ def largest_admissible_views(scene: Scene) -> list[str]:
     """
     corners = bounds_corners(scene.bounds)
     centers = scene.centers
-    candidates = _candidate_directions(centers, corners)
-    nearest = (corners @ candidates.T).min(axis=0)
-    admitted = centers @ candidates.T < nearest
-    counts = admitted.sum(axis=0)
-    best: tuple[float, NDArray[np.bool_]] | None = None
-    for count in range(int(counts.max()), 0, -1):
-        for subset in np.unique(admitted[:, counts == count].T, axis=0):
-            found = sweep_direction(centers[subset], corners)
-            if found and (best is None or found.margin > best[0]):
-                best = found.margin, subset
-        if best:
-            break
-    if best is None:
+    best, widest = np.zeros(len(centers), np.bool_), 0.0
+    for candidates in _candidate_directions(centers, corners):
+        nearest = (corners @ candidates.T).min(axis=0)
+        admitted = centers @ candidates.T < nearest
+        counts = admitted.sum(axis=0)
+        for count in range(int(counts.max()), max(int(best.sum()), 1) - 1, -1):
+            for subset in np.unique(admitted[:, counts == count].T, axis=0):
+                found = sweep_direction(centers[subset], corners)
+                if found and (count > best.sum() or found.margin > widest):
+                    best, widest = subset, found.margin
+            if best.sum() == count:
+                break
+    if not best.any():
         raise VisibilityError(f"scene {scene.name}: no single view satisfies the ordinal visibility constraint")
-    return [scene.views[n].name for n in np.flatnonzero(best[1])]
+    return [scene.views[n].name for n in np.flatnonzero(best)]
 
 
 def require_sweep_direction(scene: Scene, bounds: o3d.geometry.AxisAlignedBoundingBox) -> SweepDirection:
@@ -105,16 +108,17 @@ def require_sweep_direction(scene: Scene, bounds: o3d.geometry.AxisAlignedBoundi
     return found
 
 
-def _candidate_directions(centers: NDArray[np.float64], corners: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(n, 3) directions beside the crossings of every two limits, on all sides of each crossing."""
+def _candidate_directions(centers: NDArray[np.float64], corners: NDArray[np.float64]) -> Iterator[NDArray[np.float64]]:
+    """Directions (n, 3) beside the crossings of every two limits, on all sides of each crossing, block by block."""
     limits = (corners[None] - centers[:, None]).reshape(-1, 3)
     limits /= np.linalg.norm(limits, axis=1, keepdims=True)
-    a, b = np.triu_indices(len(limits), 1)
-    crossings = np.cross(limits[a], limits[b])
-    length = np.linalg.norm(crossings, axis=1)
-    real = length > 1e-9
-    a, b, crossings = a[real], b[real], crossings[real] / length[real, None]
-    sides = [
-        sign * crossings + _STEP * (s * limits[a] + t * limits[b]) for sign in (1, -1) for s in (1, -1) for t in (1, -1)
-    ]
-    return np.vstack([*sides, limits])
+    yield limits
+    pairs = np.triu_indices(len(limits), 1)
+    for block in range(0, len(pairs[0]), _BLOCK):
+        a, b = (limits[side[block : block + _BLOCK]] for side in pairs)
+        crossings = np.cross(a, b)
+        length = np.linalg.norm(crossings, axis=1)
+        real = length > 1e-9
+        a, b, crossings = a[real], b[real], crossings[real] / length[real, None]
+        signs = product((1, -1), repeat=3)
+        yield np.vstack([sign * crossings + _STEP * (s * a + t * b) for sign, s, t in signs])

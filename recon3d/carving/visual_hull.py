@@ -19,6 +19,8 @@ from recon3d.kernels.silhouettes import silhouette_distance
 from recon3d.scene import Scene, View
 from recon3d.volume import BAND, CarvingVolume
 
+_SIDE = 0.05  # pixels that a silhouette's pixel is at least on its side of the outline
+
 
 def visual_hull(
     scene: Scene,
@@ -134,7 +136,9 @@ def outline_distance(mask: NDArray[np.bool_]) -> NDArray[np.float32]:
     to_outside, to_inside = _distance_to_zero(inside), _distance_to_zero(1 - inside)
     # The outline runs half a pixel beside the pixel centres that the distances are between.
     signed = np.where(mask, to_outside - 0.5, 0.5 - to_inside).astype(np.float32)
-    return np.asarray(cv2.GaussianBlur(signed, (0, 0), 1.0), np.float32)
+    smooth = cv2.GaussianBlur(signed, (0, 0), 1.0)
+    # Smoothing must not lose what is a pixel or two thin, of the object or of a gap.
+    return np.where(mask, np.maximum(smooth, _SIDE), np.minimum(smooth, -_SIDE)).astype(np.float32)
 
 
 def _distance_to_zero(mask: NDArray[np.uint8]) -> NDArray[np.float64]:

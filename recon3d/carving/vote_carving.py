@@ -70,8 +70,8 @@ def vote_carving(
     occluded or grazing view then merely has no good answer. Depths that no second view confirms are dropped; the
     others vote: for empty before them, for solid just behind. A voxel nobody speaks of stays, as do unseen cavities.
 
-    Two passes: a coarse one through the whole object for its cavities, a fine one near the surface found. The result
-    lies inside the visual hull, and its distance field gives the surface to a fraction of a voxel.
+    Two passes: a coarse one, as deep as the bounds' shortest side, for the cavities, a fine one near the surface
+    found. The result lies inside the visual hull, and its distance field gives the surface to a fraction of a voxel.
 
     Parameters
     ----------
@@ -181,7 +181,7 @@ class _Matcher:
             if others:
                 P = views.projections[others]
                 best_depths(
-                    grey[n], grey[others], views.sizes[others],
+                    grey[n], *views.sizes[n], grey[others], views.sizes[others],
                     P[:, :, :3] @ views.world_from_pixel[n], P[:, :, :3] @ views.centers[n] + P[:, :, 3],
                     settings.stride * np.column_stack([columns, rows]), entry - 1.5 * size, entry + reach,
                     settings.step * self.scene.pixel_footprint, settings.radius, settings.spacing, MIN_DEVIATION,

@@ -130,7 +130,7 @@ def near_to_far(
 
 def neighbour_offsets(connectivity: Connectivity) -> NDArray[np.int64]:
     """(connectivity, 3) index steps to a voxel's neighbours."""
-    reach = {6: 1, 18: 2, 26: 3}.get(connectivity)
-    if reach is None:
+    if connectivity not in (6, 18, 26):
         raise ValueError(f"expected connectivity 6, 18 or 26, got {connectivity}")
+    reach = {6: 1, 18: 2, 26: 3}[connectivity]
     return np.array([step for step in product((-1, 0, 1), repeat=3) if 0 < np.abs(step).sum() <= reach])

@@ -122,7 +122,7 @@ def read_image(path: Path | str) -> NDArray[np.uint8]:
     path = Path(path)
     if not path.is_file():
         raise DataError(f"{path}: no such image")
-    image = cv2.imread(str(path), cv2.IMREAD_COLOR)
+    image = cv2.imread(str(path), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
     if image is None:
         raise DataError(f"{path}: not a readable image")
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), np.uint8)
@@ -141,7 +141,7 @@ def write_image(path: Path | str, image: NDArray[np.uint8] | NDArray[np.bool_]) 
 
 def write_json(path: Path | str, content: Mapping[str, Any]) -> Path:
     """Write a JSON record; returns the path."""
-    return write_text(path, json.dumps(content, indent=2, allow_nan=False) + "\n")
+    return write_text(path, json.dumps(content, indent=2, allow_nan=False, default=np.generic.item) + "\n")
 
 
 def write_text(path: Path | str, text: str) -> Path:

@@ -68,13 +68,14 @@ def read_middlebury(
     if bounds is None:
         bounds = _padded(read_bounds(folder))
     scene = Scene(tuple(views), bounds, folder.resolve().name, mm_per_unit, {"format": "Middlebury"})
-    _check_box(scene, foreground_must_fit=not given)
-
+    _check_box(scene)
     own_masks = folder / SILHOUETTE_FOLDER
     if silhouettes == "none":
         return scene
     if silhouettes == "auto" and own_masks.is_dir():
         return with_mask_files(scene, own_masks, only=_good_silhouettes(folder, scene))
+    if silhouettes in ("auto", "segmented", "threshold"):
+        _check_foreground(scene, must_fit=not given)
     if silhouettes == "threshold":
         return with_threshold_silhouettes(scene, only=_good_silhouettes(folder, scene))
     if silhouettes in ("auto", "segmented"):
@@ -226,8 +227,8 @@ def _unpadded(bounds: o3d.geometry.AxisAlignedBoundingBox) -> tuple[NDArray[np.f
     return np.asarray(bounds.min_bound + pad), np.asarray(bounds.max_bound - pad)
 
 
-def _check_box(scene: Scene, *, foreground_must_fit: bool) -> None:
-    """Refuse a box that another set's frame would give: it leaves the images, or cuts the bright object off."""
+def _check_box(scene: Scene) -> None:
+    """Refuse a box that leaves the images, as another set's frame would have it."""
     corners = bounds_corners(scene.bounds)
     seen = [int(view.sees(corners).sum()) for view in scene.views]
     if np.median(seen) < 4:
@@ -237,6 +238,10 @@ def _check_box(scene: Scene, *, foreground_must_fit: bool) -> None:
             f"{np.median(seen):g} ({scene.views[worst].name}: {seen[worst]}). Every set has its own world frame: is "
             "this another set's box?"
         )
+
+
+def _check_foreground(scene: Scene, *, must_fit: bool) -> None:
+    """Refuse a box that cuts a bright object on a dark background off, or warn of it."""
     shares = []
     for view in scene.views:
         bright = foreground(view.image)
@@ -244,8 +249,9 @@ def _check_box(scene: Scene, *, foreground_must_fit: bool) -> None:
     if np.median(shares) < 0.9:
         message = (
             f"{scene.name}: the bounding box holds only {100 * np.median(shares):.0f}% of the bright pixels of the "
-            "median image. Every set has its own world frame: is this another set's box?"
+            "median image. Is this another set's box (every set has its own world frame), or a background that is not "
+            "dark? For that give silhouettes as a folder of masks, or none"
         )
-        if foreground_must_fit:
+        if must_fit:
             raise SceneError(message)
         warnings.warn(message, stacklevel=3)

@@ -11,6 +11,8 @@ from recon3d.kernels.silhouettes import bilinear
 @kernel(parallel=True)
 def best_depths(
     image: NDArray[np.float32],
+    width: int,
+    height: int,
     others: NDArray[np.float32],
     other_sizes: NDArray[np.int64],
     homographies: NDArray[np.float64],
@@ -30,7 +32,6 @@ def best_depths(
     A pixel p at depth z lies at z * homographies[j] p + epipoles[j] in view j; windows stand parallel to the image.
     The score of a depth is the mean of the two best correlations; scores is -1 where there is none.
     """
-    height, width = image.shape
     n_others = others.shape[0]
     side = 2 * (radius // stride) + 1
     reach = stride * (radius // stride)

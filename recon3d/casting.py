@@ -1,0 +1,40 @@
+"""Rays and distances to a mesh, by Open3D's ray caster."""
+
+from __future__ import annotations
+
+import numpy as np
+import open3d as o3d
+from numpy.typing import NDArray
+
+
+class RayCaster:
+    """A mesh that can be asked what a ray hits and how far a point is.
+
+    Open3D computes in single precision, so everything is moved to the mesh's middle first: a scene far from its
+    world's origin loses nothing.
+    """
+
+    def __init__(self, mesh: o3d.geometry.TriangleMesh) -> None:
+        self._middle = np.asarray(mesh.get_axis_aligned_bounding_box().get_center())
+        self._scene = o3d.t.geometry.RaycastingScene()
+        moved = o3d.geometry.TriangleMesh(mesh.vertices, mesh.triangles)
+        moved.translate(-self._middle)
+        self._scene.add_triangles(o3d.t.geometry.TriangleMesh.from_legacy(moved))
+
+    def first_hits(
+        self, origin: NDArray[np.float64], directions: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.float64]]:
+        """For rays (..., 3) from one point: their length in directions, infinite where none; triangle; its (u, v)."""
+        start = np.broadcast_to(origin - self._middle, directions.shape)
+        rays = np.concatenate([start, directions], axis=-1).astype(np.float32)
+        answer = self._scene.cast_rays(o3d.core.Tensor.from_numpy(rays))
+        return (
+            answer["t_hit"].numpy().astype(np.float64),
+            answer["primitive_ids"].numpy().astype(np.int64),
+            answer["primitive_uvs"].numpy().astype(np.float64),
+        )
+
+    def distances(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(n,) exact distances of points (n, 3) to the triangles."""
+        moved = o3d.core.Tensor.from_numpy((points - self._middle).astype(np.float32))
+        return np.asarray(self._scene.compute_distance(moved).numpy(), np.float64)
