@@ -2,10 +2,12 @@
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
 
+import open3d as o3d
 import pytest
 
 import recon3d
@@ -100,6 +102,27 @@ def test_a_test_and_its_options_are_chosen_by_name(photographs: Path, tmp_path: 
             "expected connectivity 6, 18 or 26",
         ),
         (["reconstruct", "PHOTOGRAPHS", "--views", "view99.png"], "has no view view99.png"),
+        (
+            [
+                "reconstruct",
+                "PHOTOGRAPHS",
+                "--method",
+                "generalized-voxel-coloring",
+                "--method-option",
+                "connectivity=7",
+            ],
+            "expected connectivity 6, 18 or 26",
+        ),
+        (
+            ["reconstruct", "PHOTOGRAPHS", "--method-option", "min_score=abc"],
+            "min_score: expected a value of type float",
+        ),
+        (["reconstruct", "PHOTOGRAPHS", "--voxel-size", "nan"], "expected a positive voxel size, got nan"),
+        (["reconstruct", "PHOTOGRAPHS", "--mm-per-unit", "inf"], "expected mm_per_unit > 0, got inf"),
+        (["reconstruct", "PHOTOGRAPHS", "--output", __file__], "expected a folder that can be written"),
+        (["reconstruct", "little-temple", "--bounds", "0,0,0,1,1,1"], "it has its own bounds"),
+        (["demo", "--noise", "nan"], "expected 0 <= noise < 256"),
+        (["render", str(Path(__file__).parent)], "expected the folder of a result"),
         (["evaluate", "nowhere.ply", "nowhere.ply"], "nowhere.ply: no such file"),
         (["render", "nowhere.ply"], "nowhere.ply: no such file"),
     ],
@@ -129,3 +152,32 @@ def test_the_evaluation_script_prints_both_figures(result: Path, temple: recon3d
     figures = json.loads((tmp_path / "evaluation.json").read_text())
     assert f"accuracy     {figures['accuracy_mm']:.2f} mm" in process.stdout
     assert f"completeness {figures['completeness_percent']:.1f} %" in process.stdout
+
+
+def test_a_result_is_rendered_and_measured_with_what_its_record_says(
+    temple: recon3d.BuiltInScene, photographs: Path, tmp_path: Path
+) -> None:
+    bare = tmp_path / "bare"
+    shutil.copytree(photographs, bare)
+    (bare / "README.txt").unlink()
+    box = ",".join(str(x) for corner in (temple.scene.bounds.min_bound, temple.scene.bounds.max_bound) for x in corner)
+    options = [f"--bounds={box}", "--mm-per-unit", 10, "--voxels", 20_000, "--no-pictures", "--mesh-format", "obj"]
+    run("reconstruct", bare, "-o", tmp_path / "out", *options)
+    run("render", tmp_path / "out")
+    assert (tmp_path / "out" / "renders" / "turntable.png").is_file()
+    truth = recon3d.write_geometry(tmp_path / "truth.ply", temple.ground_truth)
+    run("evaluate", tmp_path / "out", truth)
+    figures = json.loads((tmp_path / "out" / "evaluation" / "evaluation.json").read_text())
+    assert figures["accuracy_mm"] < 0.2  # in units of a tenth of a metre's thousandth: 100 times less than in metres
+
+
+def test_two_units_are_told_from_a_bad_result(temple: recon3d.BuiltInScene, result: Path, tmp_path: Path) -> None:
+    small = o3d.geometry.TriangleMesh(temple.ground_truth).scale(1e-5, (0, 0, 0))
+    truth = recon3d.write_geometry(tmp_path / "truth.ply", small)
+    assert "are both in one unit" in run("evaluate", result, truth, expect=1).stderr
+
+
+def test_a_record_that_is_none_names_its_file(result: Path, tmp_path: Path) -> None:
+    shutil.copy(result / "mesh.ply", tmp_path)
+    (tmp_path / "record.json").write_text("{}")
+    assert f"{tmp_path / 'record.json'}: expected the record of a run" in run("render", tmp_path, expect=1).stderr

@@ -377,3 +377,15 @@ def test_one_real_set_with_another_ones_readme_is_refused(real_data: Path, tmp_p
     (tmp_path / "README.txt").symlink_to(real_data / "templeRing" / "README.txt")
     with pytest.raises(SceneError, match="is this another set's box"):
         read_middlebury(tmp_path)
+
+
+def test_a_bright_background_is_told_from_a_wrong_box(temple: BuiltInScene, tmp_path: Path) -> None:
+    views = []
+    for view in temple.scene.views:
+        assert view.silhouette is not None
+        image = np.where(view.silhouette[..., None], view.image, np.uint8(220))
+        views.append(replace(view, image=image, silhouette=None))
+    folder = write_middlebury(replace(temple.scene, views=tuple(views)), tmp_path / "bright")
+    with pytest.raises(SceneError, match="a background that is not dark"):
+        read_middlebury(folder)
+    assert all(view.silhouette is None for view in read_middlebury(folder, silhouettes="none").views)

@@ -248,3 +248,17 @@ def test_looking_at_a_point_puts_it_on_the_axis_and_up_up() -> None:
     assert (R @ up)[1] < 0  # y points down
     assert (R @ up)[0] == pytest.approx(0, abs=1e-12)
     assert eye.tolist() == [3, -2, 1]
+
+
+def test_a_world_far_from_its_origin_renders_alike(temple: BuiltInScene) -> None:
+    far = np.array([5e5, 5e6, 100.0])
+    view = temple.scene.views[0]
+    moved_mesh = o3d.geometry.TriangleMesh(temple.ground_truth).translate(far)
+    moved_pose = view.cam_from_world.copy()
+    moved_pose[:3, 3] -= moved_pose[:3, :3] @ far
+    near = Renderer(temple.ground_truth).render_view(view)
+    there = Renderer(moved_mesh).render(view.K, moved_pose, view.width, view.height)
+    # Doubles keep 1e-9 m there; a ray at an edge may still fall to the other side.
+    assert (near.hit == there.hit).mean() > 0.999
+    both = near.hit & there.hit
+    assert np.quantile(np.abs(near.depth[both] - there.depth[both]), 0.99) < 1e-5

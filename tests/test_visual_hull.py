@@ -292,3 +292,10 @@ def test_what_a_monotone_test_accepts_is_never_carved(temple: BuiltInScene) -> N
     again = generalized_voxel_coloring(temple.scene, volume.with_occupancy(kept), in_range)
     np.testing.assert_array_equal(again.solid.occupied, carved.solid.occupied)
     assert kept.sum() < visual_hull(temple.scene, volume).solid.n_occupied
+
+
+def test_what_is_a_pixel_thin_stays_on_its_side_of_the_outline() -> None:
+    mask = np.zeros((30, 30), np.bool_)
+    mask[10, 5:25] = mask[20:22, 20:22] = True
+    np.testing.assert_array_equal(outline_distance(mask) > 0, mask)
+    np.testing.assert_array_equal(outline_distance(~mask) > 0, ~mask)

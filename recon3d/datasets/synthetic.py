@@ -64,15 +64,10 @@ def little_temple(
     supersampling : rays a pixel, in each direction.
     seed : of noise and exposure.
     """
-    if (
-        n_views < 1
-        or width < 8
-        or height < 8
-        or supersampling < 1
-        or not 0 <= noise < 256
-        or not 0 <= light_change < 10
-    ):
-        raise ValueError("expected n_views >= 1, images of 8x8 pixels or more, supersampling >= 1, no negative noise")
+    if n_views < 1 or width < 8 or height < 8 or supersampling < 1:
+        raise ValueError("expected n_views >= 1, images of 8x8 pixels or more, supersampling >= 1")
+    if not 0 <= noise < 256 or not 0 <= light_change < 10:
+        raise ValueError(f"expected 0 <= noise < 256 and 0 <= light_change < 10, got {noise} and {light_change}")
     ground_truth = temple_mesh()
     center = ground_truth.get_axis_aligned_bounding_box().get_center()
     cameras = ring(center, n_views=n_views, distance=0.6, width=width, height=height, focal=2.35 * width)
