@@ -163,7 +163,7 @@ def test_a_change_of_light_scales_whole_views() -> None:
     [{"n_views": 0}, {"width": 7}, {"height": 7}, {"supersampling": 0}, {"noise": -1.0}, {"light_change": -0.1}],
 )
 def test_senseless_options_are_refused(options: dict[str, float]) -> None:
-    with pytest.raises(ValueError, match="expected n_views >= 1"):
+    with pytest.raises(ValueError, match=r"expected (n_views >= 1|0 <= noise)"):
         little_temple(**options)  # type: ignore[arg-type]
 
 
