@@ -119,7 +119,7 @@ def probabilistic_space_carving(
     hull.set_labels(voxels[~visible], Label.HIDDEN)
     hull.set_labels(voxels[visible & ~accepted], Label.INCONSISTENT)
     hull.set_labels(voxels[accepted], Label.CONSISTENT)
-    hull.record(voxels[visible], posterior[visible], (weights[visible] > _HIDDEN).sum(axis=1))
+    hull.record(voxels[visible], posterior[visible].astype(np.float64), (weights[visible] > _HIDDEN).sum(axis=1))
     means = np.empty((len(voxels), 3), np.uint8)
     blend(colors, weights, means)
     hull.accept(voxels[accepted], means[accepted])

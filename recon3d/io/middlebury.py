@@ -245,7 +245,8 @@ def _check_foreground(scene: Scene, *, must_fit: bool) -> None:
     shares = []
     for view in scene.views:
         bright = foreground(view.image)
-        shares.append((bright & bounds_mask(scene, view)).sum() / max(bright.sum(), 1))
+        held, all_bright = (int(np.count_nonzero(mask)) for mask in (bright & bounds_mask(scene, view), bright))
+        shares.append(held / max(all_bright, 1))
     if np.median(shares) < 0.9:
         message = (
             f"{scene.name}: the bounding box holds only {100 * np.median(shares):.0f}% of the bright pixels of the "
