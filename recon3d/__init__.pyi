@@ -50,6 +50,7 @@ from .pipeline import (
     save_error_maps,
     save_pictures,
 )
+from .quality import Quality, Reprojection, ShapeQuality, measure_quality
 from .rendering import Renderer, Rendering, comparison_sheet, count_seeing_views, turntable, without_unseen
 from .scene import Scene, View, make_bounds
 from .settings import Settings
@@ -78,13 +79,16 @@ __all__ = [
     "Label",
     "Patches",
     "PhotoHull",
+    "Quality",
     "Recon3dError",
     "Reconstruction",
     "Renderer",
     "Rendering",
+    "Reprojection",
     "Scene",
     "SceneError",
     "Settings",
+    "ShapeQuality",
     "SparseVolume",
     "StandardDeviation",
     "Verdict",
@@ -103,6 +107,7 @@ __all__ = [
     "little_temple",
     "load_test",
     "make_bounds",
+    "measure_quality",
     "mesh_sparse",
     "mesh_volume",
     "open_scene",

@@ -21,6 +21,7 @@ from recon3d.errors import DataError
 from recon3d.evaluation import Evaluation, error_map, evaluate, triangles_near
 from recon3d.html import Summarised
 from recon3d.io.files import MESH_SUFFIXES, read_geometry, read_mesh, write_geometry, write_image, write_json
+from recon3d.quality import Quality, measure_quality
 from recon3d.rendering import Renderer, comparison_sheet, turntable, without_unseen
 from recon3d.scene import Scene
 from recon3d.settings import Settings, choose_views
@@ -45,6 +46,8 @@ class Reconstruction(Summarised):
     """Smooth, coloured; closed unless what is unseen was left out."""
     timings: dict[str, float]
     """Seconds of each step."""
+    quality: Quality
+    """Of the mesh, by the photographs that it was made of."""
     evaluation: Evaluation | None = None
     """Of the mesh, where a ground truth was given."""
 
@@ -101,6 +104,7 @@ class Reconstruction(Summarised):
             "voxels": self.hull.counts(),
             "mesh": {"vertices": len(self.mesh.vertices), "triangles": len(self.mesh.triangles)},
             "timings_s": self.timings,
+            "quality": self.quality.record(),
             "evaluation": self.evaluation.record() if self.evaluation else None,
         }
 
@@ -113,6 +117,7 @@ class Reconstruction(Summarised):
             "voxels": f"{volume.occupied.size:,} of {mm:.3g} mm, {volume.n_occupied:,} accepted",
             "mesh": f"{len(self.mesh.triangles):,} triangles",
             "time": ", ".join(f"{name} {seconds:.2f} s" for name, seconds in self.timings.items()),
+            **self.quality.summary(),
             **(self.evaluation.summary() if self.evaluation else {}),
         }
 
@@ -128,7 +133,7 @@ def reconstruct(
     ground_truth: o3d.geometry.TriangleMesh | None = None,
     progress: Progress | None = None,
 ) -> Reconstruction:
-    """Carve, mesh and, given a ground truth in the scene's frame, measure.
+    """Carve, mesh, measure by the photographs and, given one in the scene's frame, by a ground truth.
 
     Raises
     ------
@@ -165,13 +170,17 @@ def reconstruct(
         if not settings.keep_unseen:
             mesh = without_unseen(mesh, scene)
         report("surface", 2, 2)
+    with _timed(timings, "quality"):
+        report("quality", 0, 1)
+        quality = measure_quality(mesh, scene)
+        report("quality", 1, 1)
     evaluation = None
     if ground_truth is not None:
         with _timed(timings, "evaluation"):
             report("evaluation", 0, 1)
             evaluation = evaluate(mesh, ground_truth, mm_per_unit=scene.mm_per_unit)
             report("evaluation", 1, 1)
-    return Reconstruction(scene, settings, hull, points, mesh, timings, evaluation)
+    return Reconstruction(scene, settings, hull, points, mesh, timings, quality, evaluation)
 
 
 def evaluate_files(

@@ -55,10 +55,12 @@ def test_the_record_holds_every_parameter_version_timing_and_figure(
     assert record["versions"]["open3d"] == o3d.__version__
     assert record["settings"]["test"] == {"class": "FuzzyAdaptiveHysteresis", "intensity": "luminance", "trim": 0.1}
     assert set(record["settings"]) == set(recon3d.Settings.__dataclass_fields__)
-    assert set(record["timings_s"]) == {"views", "carving", "surface", "evaluation"}
+    assert set(record["timings_s"]) == {"views", "carving", "surface", "quality", "evaluation"}
     assert sum(record["voxels"].values()) == math.prod(record["volume"]["shape"])
     assert result.evaluation is not None
     assert record["evaluation"]["accuracy_mm"] == result.evaluation.accuracy_mm
+    assert record["quality"] == result.quality.record()
+    assert {"shape", "re-projection (8 views)"} <= set(result.summary())
     assert record["scene"]["views"] == [view.name for view in result.scene.views]
 
 
@@ -94,7 +96,7 @@ def test_progress_is_reported_stage_by_stage(temple: recon3d.BuiltInScene) -> No
     )
     carving = [(done, total) for stage, done, total in seen if stage == "carving"]
     assert [done for done, _ in carving] == list(range(1, carving[0][1] + 1))
-    assert {stage for stage, _, _ in seen} == {"carving", "surface"}
+    assert {stage for stage, _, _ in seen} == {"carving", "surface", "quality"}
 
 
 def test_views_are_chosen_by_the_constraint_by_name_or_all(temple: recon3d.BuiltInScene) -> None:
