@@ -14,6 +14,7 @@ from .carving import (
     vote_carving,
     voxel_coloring,
 )
+from .comparison import Comparison, Trial, compare
 from .consistency import (
     TESTS,
     ConsistencyTest,
@@ -70,6 +71,7 @@ __all__ = [
     "TESTS",
     "BuiltInScene",
     "CarvingVolume",
+    "Comparison",
     "ConsistencyTest",
     "DataError",
     "EmptyReconstructionError",
@@ -91,10 +93,12 @@ __all__ = [
     "ShapeQuality",
     "SparseVolume",
     "StandardDeviation",
+    "Trial",
     "Verdict",
     "View",
     "VisibilityError",
     "VolumeTooLargeError",
+    "compare",
     "comparison_sheet",
     "count_seeing_views",
     "error_map",

@@ -25,6 +25,7 @@ from recon3d.terminal import (
     run,
     save,
     say,
+    sweep_of,
     writable,
 )
 
@@ -64,6 +65,10 @@ SilhouettesOption = Annotated[
 UnitOption = Annotated[float, typer.Option(metavar="MM", help="Millimetres in one world unit (1000: metres).")]
 PercentOption = Annotated[float, typer.Option(metavar="PERCENT", help="Share of the reconstruction for accuracy.")]
 ThresholdOption = Annotated[float, typer.Option(metavar="MM", help="Distance that counts as complete.")]
+RealOption = Annotated[
+    Path | None, typer.Option(metavar="MESH", help="The part of GROUND_TRUTH that is real data; the rest is filler.")
+]
+RealWithinOption = Annotated[float, typer.Option(metavar="MM", help="How near to --real counts as real.")]
 SeedOption = Annotated[int, typer.Option(help="Seed of the surface samples.")]
 
 
@@ -205,11 +210,8 @@ def evaluate(
     mm_per_unit: Annotated[
         float | None, typer.Option(metavar="MM", help="Millimetres in one world unit [default: the result's, or 1000].")
     ] = None,
-    real: Annotated[
-        Path | None,
-        typer.Option(metavar="MESH", help="The part of GROUND_TRUTH that is real data; the rest is filler."),
-    ] = None,
-    real_within: Annotated[float, typer.Option(metavar="MM", help="How near to --real counts as real.")] = 0.1,
+    real: RealOption = None,
+    real_within: RealWithinOption = 0.1,
     error_scale: Annotated[float, typer.Option(metavar="MM", help="Distance that the error maps show red.")] = 5.0,
     seed: SeedOption = 0,
 ) -> None:
@@ -244,6 +246,77 @@ def evaluate(
             written |= save_error_maps(*files, folder, mm_per_unit=unit, full_scale_mm=error_scale)
             report("error maps", 1, 1)
     say(measured.summary())
+    say(written)
+
+
+@app.command()
+def compare(
+    scene: SceneArgument,
+    tests: Annotated[
+        str, typer.Option(metavar="all|NAME,NAME", help="Photo-consistency tests, built in or module:name.")
+    ] = "all",
+    output: OutputOption = None,
+    sweep: Annotated[
+        str | None,
+        typer.Option(metavar="NAME=LOW:HIGH:STEP", help="Run the tests with this parameter at each of its values."),
+    ] = None,
+    n_voxels: Annotated[int, typer.Option("--voxels", help="Approximate number of voxels.")] = 1_000_000,
+    method: Annotated[str, typer.Option(help="Carving method, the same for all.")] = "voxel-coloring",
+    method_option: Annotated[
+        list[str] | None, typer.Option(metavar="NAME=VALUE", help="Option of the method; may be repeated.")
+    ] = None,
+    max_views: Annotated[int | None, typer.Option(help="At most so many views, after those left out.")] = None,
+    leave_out: Annotated[
+        str,
+        typer.Option(
+            metavar="N|NAME,NAME", help="Measure re-projection on every N-th view, or those named; 0: on all used."
+        ),
+    ] = "4",
+    bounds: BoundsOption = None,
+    silhouettes: SilhouettesOption = "auto",
+    mm_per_unit: UnitOption = 1000.0,
+    ground_truth: Annotated[Path | None, typer.Option(metavar="MESH", help="Measure against this mesh.")] = None,
+    real: RealOption = None,
+    real_within: RealWithinOption = 0.1,
+    accuracy_percent: PercentOption = 90.0,
+    completeness_threshold: ThresholdOption = 1.25,
+) -> None:
+    """Compare photo-consistency tests on the same voxels and views; what is finished is not run again."""
+    from recon3d.comparison import compare
+    from recon3d.contestants import contestants
+    from recon3d.pipeline import read_ground_truth
+    from recon3d.settings import Settings
+
+    chosen: Any = tests if tests == "all" else tests.split(",")
+    swept = sweep_of(sweep) if sweep else None
+    contestants(chosen, swept)  # a mistake here need not wait for the photographs
+    settings = Settings(
+        n_voxels=n_voxels, method=method, method_options=keywords(method_option or []), max_views=max_views
+    )
+    options: dict[str, Any] = {}
+    if ground_truth:
+        truth, mask = read_ground_truth(ground_truth, real=real, real_within_mm=real_within, mm_per_unit=mm_per_unit)
+        options = {
+            "ground_truth": truth,
+            "real": mask,
+            "accuracy_percent": accuracy_percent,
+            "completeness_threshold_mm": completeness_threshold,
+        }
+    loaded = load(scene, bounds, silhouettes, mm_per_unit)
+    folder = writable(output or Path("recon3d-output") / f"{loaded.name}-tests")
+    with progress() as report:
+        result = compare(
+            loaded,
+            chosen,
+            settings=settings,
+            sweep=swept,
+            leave_out=int(leave_out) if leave_out.isdigit() else leave_out.split(","),
+            folder=folder,
+            progress=report,
+            **options,
+        )
+        written = result.save(folder)
+    typer.echo(result.markdown())
     say(written)
 
 

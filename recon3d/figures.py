@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -36,6 +37,21 @@ def plot_evaluation(evaluation: Evaluation, title: str = "") -> Figure:
                      f"{evaluation.completeness_threshold_mm:g} mm")  # fmt: skip
     right.set(xlabel="distance (mm)", ylabel="samples within (%)", ylim=(0, 101), xlim=(0, largest))
     right.legend(loc="lower right")
+    return figure
+
+
+def plot_trade_off(series: Mapping[str, Sequence[tuple[float, float, str]]], *, xlabel: str, ylabel: str) -> Figure:
+    """Named series of points (x, y, text) in one plane: what gains in one direction costs in the other."""
+    figure = Figure(figsize=(7, 4.6), layout="constrained")
+    axes = figure.subplots()
+    for n, (name, points) in enumerate(series.items()):
+        x, y, texts = zip(*points, strict=True)
+        axes.plot(x, y, marker="osD^vP*X"[n // 10 % 8], label=name)
+        for point in zip(x, y, texts, strict=True):
+            axes.annotate(point[2], point[:2], xytext=(4, 4), textcoords="offset points", fontsize=8)
+    axes.set(xlabel=xlabel, ylabel=ylabel)
+    if series:
+        figure.legend(loc="outside right upper")
     return figure
 
 

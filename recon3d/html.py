@@ -3,7 +3,7 @@
 import base64
 import html
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import cv2
 import numpy as np
@@ -44,6 +44,27 @@ def _figure_html(title: str, rows: Mapping[str, object], picture: NDArray[np.uin
         f"<div style='display:flex;gap:1em;align-items:center'>{table}"
         f"<img src='data:image/png;base64,{data}' style='max-height:320px' alt=''></div>"
     )
+
+
+def grid_html(title: str, rows: Sequence[Sequence[str]]) -> str:
+    """HTML of a titled table with a heading row and a heading column; numbers to the right."""
+    heading, *body = rows
+    cells = "".join(f"<th>{html.escape(name)}</th>" for name in heading)
+    lines = [f"<tr>{cells}</tr>"]
+    for first, *others in body:
+        cells = "".join(f"<td style='text-align:right'>{html.escape(cell)}</td>" for cell in others)
+        lines.append(f"<tr><th style='text-align:left'>{html.escape(first)}</th>{cells}</tr>")
+    return f"<div><b>{html.escape(title)}</b><table>{''.join(lines)}</table></div>"
+
+
+def labelled_row(label: str, images: list[NDArray[np.uint8]], *, width: int) -> NDArray[np.uint8]:
+    """Equally wide RGB pictures beside a label, word by word below each other, on white."""
+    pictures = thumbnails(images, width=width, columns=len(images))
+    row = np.full((max(pictures.shape[0], 20 * len(label.split()) + 8), width + pictures.shape[1], 3), 255, np.uint8)
+    for n, word in enumerate(label.split()):
+        cv2.putText(row, word, (6, 20 * (n + 1)), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (0, 0, 0), 1, cv2.LINE_AA)
+    row[: pictures.shape[0], width:] = pictures
+    return row
 
 
 def thumbnails(images: list[NDArray[np.uint8]], *, width: int, columns: int) -> NDArray[np.uint8]:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from recon3d._version import __version__
 from recon3d.carving import METHODS, PhotoHull
-from recon3d.errors import DataError
+from recon3d.errors import DataError, EmptyReconstructionError
 from recon3d.evaluation import Evaluation, error_map, evaluate, triangles_near
 from recon3d.html import Summarised
 from recon3d.io.files import MESH_SUFFIXES, read_geometry, read_mesh, write_geometry, write_image, write_json
@@ -169,6 +169,8 @@ def reconstruct(
         )
         if not settings.keep_unseen:
             mesh = without_unseen(mesh, scene)
+            if not mesh.has_triangles():
+                raise EmptyReconstructionError(f"scene {scene.name}: no view sees a whole triangle of the surface")
         report("surface", 2, 2)
     with _timed(timings, "quality"):
         report("quality", 0, 1)
@@ -204,15 +206,32 @@ def evaluate_files(
     ------
     DataError : a file is missing or holds no geometry of the kind that is needed.
     """
-    shape, truth = read_geometry(reconstruction), read_geometry(ground_truth)
+    shape = read_geometry(reconstruction)
+    truth, mask = read_ground_truth(ground_truth, real=real, real_within_mm=real_within_mm, mm_per_unit=mm_per_unit)
+    return evaluate(shape, truth, real=mask, mm_per_unit=mm_per_unit, **options)
+
+
+def read_ground_truth(
+    ground_truth: Path | str,
+    *,
+    real: Path | str | None = None,
+    real_within_mm: float = 0.1,
+    mm_per_unit: float = 1000.0,
+) -> tuple[o3d.geometry.TriangleMesh | o3d.geometry.PointCloud, NDArray[np.bool_] | None]:
+    """Mesh or point cloud to measure against, and the mask of its ``real`` part; see ``evaluate_files``.
+
+    Raises
+    ------
+    DataError : a file is missing or holds no geometry of the kind that is needed.
+    """
+    truth = read_geometry(ground_truth)
     if isinstance(truth, o3d.geometry.VoxelGrid):
         raise DataError(f"{ground_truth}: expected a mesh or point cloud as ground truth, got a voxel grid")
-    mask = None
-    if real is not None:
-        if not isinstance(truth, o3d.geometry.TriangleMesh):
-            raise DataError(f"{ground_truth}: a real part can be told only of a mesh, got a point cloud")
-        mask = triangles_near(truth, read_mesh(real), real_within_mm / mm_per_unit)
-    return evaluate(shape, truth, real=mask, mm_per_unit=mm_per_unit, **options)
+    if real is None:
+        return truth, None
+    if not isinstance(truth, o3d.geometry.TriangleMesh):
+        raise DataError(f"{ground_truth}: a real part can be told only of a mesh, got a point cloud")
+    return truth, triangles_near(truth, read_mesh(real), real_within_mm / mm_per_unit)
 
 
 def save_error_maps(

@@ -110,6 +110,19 @@ def keywords(options: list[str]) -> dict[str, Any]:
     return values
 
 
+def sweep_of(option: str) -> tuple[str, list[float]]:
+    """Parameter and values of NAME=LOW:HIGH:STEP, both ends included; whole numbers stay whole."""
+    name, _, text = option.partition("=")
+    try:
+        low, high, step = (ast.literal_eval(number) for number in text.split(":"))
+        values = [round(low + n * step, 12) for n in range(int((high - low) / step + 1e-9) + 1)]
+    except (ValueError, SyntaxError, TypeError, ArithmeticError):
+        values = []
+    if not (name and values):
+        raise ValueError(f"--sweep: expected NAME=LOW:HIGH:STEP, got {option!r}")
+    return name, values
+
+
 def mesh_of(result: Path) -> Path:
     """The mesh file of a result folder, or the file itself."""
     from recon3d.io.files import MESH_SUFFIXES

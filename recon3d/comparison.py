@@ -1,0 +1,426 @@
+"""Photo-consistency tests side by side: the same scene, volume, views and visibility, one test after another."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+import open3d as o3d
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from recon3d._version import __version__
+from recon3d.carving import METHODS, spread_views
+from recon3d.consistency import ConsistencyTest
+from recon3d.contestants import Contestant, Sweep, Tests, contestants, identity
+from recon3d.errors import EmptyReconstructionError, Recon3dError
+from recon3d.evaluation import Evaluation, evaluate
+from recon3d.figures import plot_trade_off
+from recon3d.html import Summarised, grid_html, labelled_row
+from recon3d.io.files import atomic_path, read_image, write_image, write_json, write_text
+from recon3d.memory import peak_memory
+from recon3d.pipeline import Progress, Reconstruction, reconstruct
+from recon3d.quality import measure_quality
+from recon3d.rendering import Renderer
+from recon3d.scene import Scene, View
+from recon3d.settings import Settings, choose_views
+from recon3d.volume import CarvingVolume
+
+_SHOWN = 4  # cameras on the contact sheet
+_WIDTH = 200  # pixels of each picture on it
+_WARM_UP_VOXELS = 1000
+
+
+@dataclass(frozen=True)
+class Trial:
+    """Figures of one test; None where nothing was left, or nothing was known to measure against."""
+
+    label: str
+    family: str
+    """Label without the swept parameter."""
+    value: float | None
+    """Of the swept parameter; None where the test is not swept."""
+    accepted: int
+    """Voxels."""
+    carving_s: float
+    """Seconds of carving, everything compiled and loaded before."""
+    memory_mib: float | None
+    """What the whole run, carving and meshing, adds to the process at its highest (``peak_memory``)."""
+    holes: int | None = None
+    """Handles through the closed pieces of the mesh, and rims of its open ones."""
+    floating: int | None = None
+    """Pieces beside the largest."""
+    floating_percent: float | None = None
+    """Their share of the area."""
+    median_error: float | None = None
+    """Of re-projection, grey levels; see ``Reprojection``."""
+    mean_error: float | None = None
+    rms_error: float | None = None
+    overlap_percent: float | None = None
+    """Silhouettes, intersection over union."""
+    accuracy_mm: float | None = None
+    completeness_percent: float | None = None
+    precision_percent: float | None = None
+    """Share of the mesh within the completeness' threshold of the ground truth."""
+
+
+_COLUMNS: dict[str, tuple[str, str]] = {
+    "accepted": ("voxels", ",.0f"),
+    "holes": ("holes", ",.0f"),
+    "floating": ("floating", ",.0f"),
+    "accuracy_mm": ("accuracy (mm)", ".2f"),
+    "completeness_percent": ("completeness (%)", ".1f"),
+    "precision_percent": ("precision (%)", ".1f"),
+    "median_error": ("median error", ".1f"),
+    "rms_error": ("RMS error", ".1f"),
+    "overlap_percent": ("overlap (%)", ".1f"),
+    "carving_s": ("carving (s)", ".2f"),
+    "memory_mib": ("memory (MiB)", ".0f"),
+}
+"""Heading and format of each of a trial's figures in the table."""
+
+_AXES = (("completeness_percent", "precision_percent"), ("overlap_percent", "median_error"), ("accepted", "mean_error"))
+"""What the trade-off is drawn of: the first pair that is known."""
+
+
+@dataclass(frozen=True, repr=False)
+class Comparison(Summarised):
+    """What every test made of the same views of the same volume."""
+
+    conditions: dict[str, Any]
+    """What was the same for all: scene, settings, names of the views used and of those left out, for a JSON file."""
+    trials: tuple[Trial, ...]
+    sheet: NDArray[np.uint8]
+    """RGB contact sheet: the photographs above what each test made of them, from the same cameras."""
+
+    def table(self) -> list[list[str]]:
+        """Heading and one row for each test; a column of which nothing is known is left out."""
+        known = [name for name in _COLUMNS if any(getattr(trial, name) is not None for trial in self.trials)]
+        rows = [["test", *(_COLUMNS[name][0] for name in known)]]
+        for trial in self.trials:
+            values = [getattr(trial, name) for name in known]
+            cells = ["-" if value is None else format(value, _COLUMNS[name][1])
+                     for name, value in zip(known, values, strict=True)]  # fmt: skip
+            rows.append([trial.label, *cells])
+        return rows
+
+    def markdown(self) -> str:
+        """Title, table and what its columns mean, as Markdown that reads as plain text, too."""
+        rows = self.table()
+        widths = [max(len(row[n]) for row in rows) for n in range(len(rows[0]))]
+        lines = [
+            "| " + " | ".join([row[0].ljust(widths[0]), *map(str.rjust, row[1:], widths[1:])]) + " |" for row in rows
+        ]
+        rule = "| " + " | ".join(["-" * widths[0], *("-" * (width - 1) + ":" for width in widths[1:])]) + " |"
+        return "\n".join([self._title(), "", lines[0], rule, *lines[1:], "", self._notes(), ""])
+
+    def plot(self) -> Figure:
+        """The trade-off: how much of the object each test finds against how right that is.
+
+        Precision against completeness where a ground truth was given, else re-projection error against overlap with
+        the silhouettes, or against the number of voxels. Swept tests are lines; tests that left nothing are not shown.
+        """
+        x, y = next(pair for pair in _AXES if pair == _AXES[-1] or self._known(pair))
+        points: dict[str, list[tuple[float, float, str]]] = {}
+        for trial in self.trials:
+            if getattr(trial, x) is not None and getattr(trial, y) is not None:
+                told = "" if trial.value is None else f"{trial.value:g}"
+                points.setdefault(trial.family, []).append((getattr(trial, x), getattr(trial, y), told))
+        return plot_trade_off(points, xlabel=_COLUMNS[x][0], ylabel=_COLUMNS.get(y, ("mean error", ""))[0])
+
+    def save(self, folder: Path | str) -> dict[str, Path]:
+        """Write figures (JSON), table (Markdown), contact sheet and trade-off (PNG); returns role to path."""
+        folder = Path(folder)
+        with atomic_path(folder / "trade_off.png") as temporary:
+            self.plot().savefig(temporary, dpi=120)
+        return {
+            "table": write_text(folder / "comparison.md", self.markdown()),
+            "contact sheet": write_image(folder / "contact_sheet.png", self.sheet),
+            "trade-off": folder / "trade_off.png",
+            "figures": write_json(folder / "comparison.json", self.record()),
+        }
+
+    def record(self) -> dict[str, Any]:
+        """Conditions and figures for a JSON file."""
+        return {**self.conditions, "trials": [asdict(trial) for trial in self.trials]}
+
+    def summary(self) -> dict[str, object]:
+        """The figures of each test in one line."""
+        heading, *rows = self.table()
+        return {
+            row[0]: ", ".join(f"{name} {cell}" for name, cell in zip(heading[1:], row[1:], strict=True)) for row in rows
+        }
+
+    def picture(self) -> NDArray[np.uint8]:
+        """The contact sheet."""
+        return self.sheet
+
+    def _repr_html_(self) -> str:
+        return grid_html(self._title(), self.table()) + f"<p>{self._notes()}</p>"
+
+    def _known(self, names: Sequence[str]) -> bool:
+        return any(all(getattr(trial, name) is not None for name in names) for trial in self.trials)
+
+    def _title(self) -> str:
+        c = self.conditions
+        return f"{c['scene']}, {c['settings']['method']}, {len(c['views'])} views, {c['voxels']:,} voxels"
+
+    def _notes(self) -> str:
+        left_out = self.conditions["left_out"]
+        measured = f"views left out ({', '.join(left_out)})" if left_out else "views that the tests used"
+        notes = (
+            f"Re-projection errors in grey levels, and overlap with the silhouettes, by the {measured}. "
+            "Holes: handles and rims of the mesh; floating: pieces beside the largest."
+        )
+        if truth := self.conditions["evaluation"]:
+            notes += (
+                f" Accuracy: the distance that {truth['accuracy_percent']:g}% of the mesh keep; completeness and "
+                f"precision: shares of ground truth and mesh within {truth['completeness_threshold_mm']:g} mm of the other."
+            )
+        return notes
+
+
+def compare(
+    scene: Scene,
+    tests: Tests = "all",
+    *,
+    settings: Settings | None = None,
+    ground_truth: o3d.geometry.TriangleMesh | o3d.geometry.PointCloud | None = None,
+    sweep: Sweep | None = None,
+    leave_out: int | Sequence[str] = 4,
+    folder: Path | str | None = None,
+    progress: Progress | None = None,
+    **options: Any,
+) -> Comparison:
+    """Carve, mesh and measure with one photo-consistency test after another, all else being equal.
+
+    Tests run in this process, so that they may be functions of a notebook. Each is run on a thousand voxels first:
+    what is compiled or loaded then is not in its seconds.
+
+    Parameters
+    ----------
+    tests : names as in ``TESTS`` or "module:name", tests, or a mapping of labels to either; "all": all of ``TESTS``.
+    settings : all but the test; voxel colouring of a million voxels when None.
+    ground_truth : in the scene's frame; accuracy, completeness and precision are measured against it.
+    sweep : a parameter and its values; tests that have it are run with each, the others once.
+    leave_out : every so-maniest of the views that the method admits is kept from the tests, and the re-projection error
+        measured on those: how well a result predicts what it was not made of. 0: none, and the error is measured on the
+        views used. Or the names of the views. ``settings.max_views`` counts what is left.
+    folder : where each finished test is kept, in ``trials``; one that is there, of the same inputs, is not run again.
+        The source of a test counts as input; of one that is made in ``__main__`` nothing is kept.
+    options : passed to ``evaluate``, such as ``real``.
+
+    Raises
+    ------
+    ValueError : a test, parameter or view that is not there, or a method that uses no test; before any work.
+    VisibilityError, VolumeTooLargeError : as in ``reconstruct``.
+    """
+    entries = contestants(tests, sweep)
+    contest = _contest(scene, settings, entries[0].test, leave_out, ground_truth, options)
+    kept = _Kept(Path(folder) / "trials", contest.fingerprint()) if folder is not None else None
+    report = progress or (lambda _stage, _done, _total: None)
+    trials, rows = [], [labelled_row("photographs", [view.image for view in contest.shown.views], width=_WIDTH)]
+    for n, entry in enumerate(entries):
+        report("tests", n, len(entries))
+        found = kept.find(entry) if kept else None
+        if found is None:
+            found = contest.run(entry, lambda stage, done, total: report(f"{stage} of each", done, total))
+            if kept:
+                kept.keep(entry, *found)
+        trials.append(found[0])
+        rows.append(found[1])
+        report("tests", n + 1, len(entries))
+    return Comparison(contest.record(), tuple(trials), np.vstack(rows))
+
+
+@dataclass(frozen=True)
+class _Contest:
+    """What is the same for all tests."""
+
+    used: Scene
+    left_out: tuple[View, ...]
+    shown: Scene
+    """Views of the contact sheet."""
+    settings: Settings
+    """Resolved, but for the test."""
+    volume: CarvingVolume
+    ground_truth: o3d.geometry.TriangleMesh | o3d.geometry.PointCloud | None
+    options: Mapping[str, Any]
+    """Of ``evaluate``."""
+
+    def run(self, entry: Contestant, progress: Progress) -> tuple[Trial, NDArray[np.uint8]]:
+        """Figures of a test, and its row of the contact sheet."""
+        settings = replace(self.settings, test=entry.test)
+        try:
+            self._warm_up(settings)
+            start = perf_counter()
+            with peak_memory() as peak:
+                result = reconstruct(self.used, settings, progress=progress)
+        except EmptyReconstructionError:
+            trial = Trial(entry.label, entry.family, entry.value, 0, round(perf_counter() - start, 3), peak.mib)
+            blank = [np.full((1, _WIDTH, 3), 255, np.uint8)] * len(self.shown.views)
+            return trial, labelled_row(f"{entry.label}: nothing left", blank, width=_WIDTH)
+        except ValueError as error:
+            raise ValueError(f"{entry.label}: {error}") from error
+        renderer = Renderer(result.mesh)
+        pictures = [renderer.render_view(view).picture() for view in self.shown.views]
+        return self._measured(entry, result, peak.mib), labelled_row(entry.label, pictures, width=_WIDTH)
+
+    def _warm_up(self, settings: Settings) -> None:
+        """Let a test and what carves with it be compiled and loaded."""
+        small = CarvingVolume.enclosing(self.used.bounds, n_voxels=_WARM_UP_VOXELS)
+        with suppress(EmptyReconstructionError):
+            METHODS[settings.method].carve(self.used, small, settings.test, **settings.method_options)
+
+    def _measured(self, entry: Contestant, result: Reconstruction, memory_mib: float | None) -> Trial:
+        """Figures of a reconstruction."""
+        quality = result.quality
+        if self.left_out:
+            quality = measure_quality(result.mesh, replace(self.used, views=self.left_out))
+        photographs, shape = quality.overall, quality.shape
+        trial = Trial(
+            entry.label,
+            entry.family,
+            entry.value,
+            result.hull.volume.n_occupied,
+            result.timings["carving"],
+            memory_mib,
+            holes=shape.boundary_loops + (shape.genus or 0),
+            floating=shape.components - 1,
+            floating_percent=100 * shape.floating_share,
+            median_error=photographs.median,
+            mean_error=photographs.mean,
+            rms_error=photographs.rms,
+            overlap_percent=None if photographs.overlap is None else 100 * photographs.overlap,
+        )
+        if self.ground_truth is None:
+            return trial
+        figures = evaluate(result.mesh, self.ground_truth, mm_per_unit=self.used.mm_per_unit, **self.options)
+        within = np.searchsorted(figures.accuracy_distances, figures.completeness_threshold_mm, side="right")
+        return replace(
+            trial,
+            accuracy_mm=figures.accuracy_mm,
+            completeness_percent=figures.completeness_percent,
+            precision_percent=100 * float(within) / len(figures.accuracy_distances),
+        )
+
+    def record(self) -> dict[str, Any]:
+        """The conditions for a JSON file."""
+        plain = {name: value for name, value in self.settings.record().items() if name not in ("test", "views")}
+        return {
+            "recon3d": __version__,
+            "scene": self.used.name,
+            "source": self.used.notes.get("source"),
+            "settings": plain,
+            "voxels": self.volume.occupied.size,
+            "views": [view.name for view in self.used.views],
+            "left_out": [view.name for view in self.left_out],
+            "evaluation": None
+            if self.ground_truth is None
+            else {
+                name: self.options.get(name, getattr(Evaluation, name))
+                for name in ("accuracy_percent", "completeness_threshold_mm")
+            },
+        }
+
+    def fingerprint(self) -> str:
+        """Text that two contests share only where every test would find the same in both."""
+        digest = hashlib.sha256(json.dumps(self.record(), sort_keys=True, default=str).encode())
+        for view in (*self.used.views, *self.left_out, *self.shown.views):
+            silhouette = b"" if view.silhouette is None else view.silhouette.tobytes()
+            digest.update(view.projection.tobytes() + view.image.tobytes() + silhouette)
+        truth: Any = self.ground_truth
+        shape = [] if truth is None else [getattr(truth, name) for name in ("vertices", "triangles", "points")
+                                          if hasattr(truth, name)]  # fmt: skip
+        options = [part for name in sorted(self.options) if self.options[name] is not None
+                   for part in (name, self.options[name])]  # fmt: skip
+        bounds = [self.used.bounds.min_bound, self.used.bounds.max_bound, self.used.mm_per_unit]
+        for part in (*bounds, *shape, *options):
+            digest.update(np.asarray(part).tobytes())
+        return digest.hexdigest()
+
+
+def _contest(
+    scene: Scene,
+    settings: Settings | None,
+    test: ConsistencyTest,
+    leave_out: int | Sequence[str],
+    ground_truth: o3d.geometry.TriangleMesh | o3d.geometry.PointCloud | None,
+    options: Mapping[str, Any],
+) -> _Contest:
+    """Choose the views, and refuse what cannot be compared."""
+    settings = settings or Settings(method="voxel-coloring")
+    if settings.test is not None:
+        raise ValueError(f"expected settings without a test, since tests are compared, got {settings.test!r}")
+    if options and ground_truth is None:
+        raise ValueError(f"expected a ground truth for {', '.join(options)}")
+    resolved = replace(settings, test=test).resolved(scene)
+    admitted = choose_views(scene, replace(resolved, max_views=None))
+    left_out = _left_out(scene, admitted, leave_out)
+    names = [view.name for view in left_out]
+    rest = tuple(view for view in admitted.views if view.name not in names)
+    if not rest:
+        raise ValueError(f"expected views to be left for the tests, got all of {', '.join(names)} left out")
+    used = spread_views(replace(admitted, views=rest), resolved.max_views or len(rest))
+    chosen = np.unique(np.linspace(0, len(admitted.views) - 1, min(_SHOWN, len(admitted.views))).round().astype(int))
+    return _Contest(
+        used,
+        left_out,
+        replace(admitted, views=tuple(admitted.views[n] for n in chosen)),
+        replace(resolved, test=None, views="all", max_views=None),
+        CarvingVolume.enclosing(scene.bounds, voxel_size=resolved.voxel_size, n_voxels=resolved.n_voxels),
+        ground_truth,
+        options,
+    )
+
+
+def _left_out(scene: Scene, admitted: Scene, leave_out: int | Sequence[str]) -> tuple[View, ...]:
+    """Views that no test is to see."""
+    if not isinstance(leave_out, int):
+        return scene.subset(leave_out).views
+    if leave_out < 0 or leave_out == 1:
+        raise ValueError(f"expected to leave out every view of 2 or more, 0 (none) or names, got {leave_out}")
+    return admitted.views[leave_out - 1 :: leave_out] if leave_out else ()
+
+
+@dataclass(frozen=True)
+class _Kept:
+    """Finished trials in a folder: figures as JSON and the contact sheet's row as PNG, the figures last."""
+
+    folder: Path
+    contest: str
+    """Fingerprint of all that is not the test."""
+
+    def find(self, entry: Contestant) -> tuple[Trial, NDArray[np.uint8]] | None:
+        """What is kept of a test under the same conditions."""
+        file = self._file(entry)
+        if file is None or not file.is_file():
+            return None
+        try:
+            figures = Trial(**json.loads(file.read_text(encoding="utf-8")))
+            row = read_image(file.with_suffix(".png"))
+        except (ValueError, TypeError, Recon3dError):  # cut short, or of another version
+            return None
+        return figures, row
+
+    def keep(self, entry: Contestant, trial: Trial, row: NDArray[np.uint8]) -> None:
+        """Write a finished trial, unless nothing tells its test from others."""
+        file = self._file(entry)
+        if file is not None:
+            write_image(file.with_suffix(".png"), row)
+            write_json(file, asdict(trial))
+
+    def _file(self, entry: Contestant) -> Path | None:
+        told = identity(entry.test)
+        if told is None:
+            return None
+        key = hashlib.sha256(f"{self.contest}{entry.label}{told}".encode()).hexdigest()[:16]
+        return self.folder / f"{re.sub('[^A-Za-z0-9.=-]+', '-', entry.label)}-{key}.json"

@@ -1,0 +1,129 @@
+"""Which photo-consistency tests are compared: by name, as values, or swept over one parameter."""
+
+from __future__ import annotations
+
+import inspect
+import sys
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields, is_dataclass, replace
+from functools import partial
+from typing import Any
+
+from recon3d.consistency import TESTS, ConsistencyTest, load_test
+
+Tests = str | Iterable[str | ConsistencyTest] | Mapping[str, str | ConsistencyTest]
+"""Names as ``load_test`` takes them, tests themselves, or both under labels of one's own; "all": every test."""
+Sweep = tuple[str, Sequence[float]]
+"""A parameter's name and the values that it takes."""
+
+
+@dataclass(frozen=True)
+class Contestant:
+    """One test with one set of parameters."""
+
+    label: str
+    test: ConsistencyTest
+    family: str
+    """Label of the test that the sweep varies; the label itself where it is not swept."""
+    value: float | None = None
+    """Of the swept parameter."""
+
+
+def contestants(tests: Tests, sweep: Sweep | None = None) -> list[Contestant]:
+    """Every test that is asked for, those with the swept parameter once for each value.
+
+    Raises
+    ------
+    ValueError : no such test, two of one label, a parameter that none has, or a value that a test refuses.
+    """
+    found = [
+        variant
+        for label, test in _labelled(tests)
+        for variant in (_swept(label, test, *sweep) if sweep else [Contestant(label, test, label)])
+    ]
+    labels = [contestant.label for contestant in found]
+    repeated = sorted({label for label in labels if labels.count(label) > 1})
+    if not found or repeated:
+        raise ValueError(f"expected tests of different labels, got {', '.join(repeated) or 'none'}")
+    if sweep and all(contestant.value is None for contestant in found):
+        known = {name for contestant in found for name in _parameters(contestant.test)}
+        raise ValueError(
+            f"expected one or more values of a parameter among {', '.join(sorted(known)) or 'none'}, "
+            f"got {sweep[0]!r} and {len(sweep[1])} values"
+        )
+    return found
+
+
+def identity(test: ConsistencyTest) -> str | None:
+    """Text that tells a test from every other, with the source that it is made of.
+
+    None where that cannot be told from outside: closures, objects with a state of their own, a notebook's functions.
+    """
+    if isinstance(test, partial):
+        return _joined(test.func, [*test.args, *test.keywords.items()])
+    if is_dataclass(test) and not isinstance(test, type):
+        return _joined(type(test), [(f.name, getattr(test, f.name)) for f in fields(test)])
+    return _joined(test, []) if inspect.isfunction(test) and test.__closure__ is None else None
+
+
+def _joined(made_by: Any, parameters: Sequence[Any]) -> str | None:
+    """Identity of what a class or function makes of parameters."""
+    try:
+        if made_by.__module__ == "__main__":
+            return None
+        source = inspect.getsource(sys.modules[made_by.__module__])
+    except (OSError, TypeError, KeyError, AttributeError):
+        return None
+    told = [_told(parameter) for parameter in parameters]
+    return None if None in told else "\n".join([made_by.__qualname__, *map(str, told), source])
+
+
+def _told(value: Any) -> str | None:
+    """A parameter as text; None where text would not tell all of it."""
+    if callable(value):
+        return identity(value)
+    if isinstance(value, tuple):
+        parts = [_told(part) for part in value]
+        return None if None in parts else str(parts)
+    return repr(value) if value is None or isinstance(value, bool | int | float | str) else None
+
+
+def _labelled(tests: Tests) -> list[tuple[str, ConsistencyTest]]:
+    """Labels and tests, loaded."""
+    if isinstance(tests, Mapping):
+        named: list[tuple[str, str | ConsistencyTest]] = list(tests.items())
+    else:
+        listed = list(TESTS) if tests == "all" else [tests] if isinstance(tests, str) else list(tests)
+        named = [(test if isinstance(test, str) else _label(test), test) for test in listed]
+    return [(label, load_test(test) if isinstance(test, str) else test) for label, test in named]
+
+
+def _label(test: ConsistencyTest) -> str:
+    """What a test that was given as a value is called: its name, and what is not as usual."""
+    if is_dataclass(test):
+        unusual = [f"{f.name}={getattr(test, f.name)}" for f in fields(test) if getattr(test, f.name) != f.default]
+        return " ".join([type(test).__name__, *unusual])
+    made_by = test.func if isinstance(test, partial) else test
+    return str(getattr(made_by, "__name__", "") or repr(made_by))
+
+
+def _parameters(test: ConsistencyTest) -> list[str]:
+    """Names of what can be varied: fields of a dataclass, or what a function takes beside the patches."""
+    if is_dataclass(test):
+        return [f.name for f in fields(test)]
+    return list(inspect.signature(test).parameters)[1:]
+
+
+def _swept(label: str, test: ConsistencyTest, name: str, values: Sequence[float]) -> list[Contestant]:
+    """The test with every value of a parameter; as it is where it has no such parameter."""
+    if name not in _parameters(test):
+        return [Contestant(label, test, label)]
+    found = []
+    for value in values:
+        try:
+            change: dict[str, Any] = {name: value}
+            varied = replace(test, **change) if is_dataclass(test) else partial(test, **change)
+        except ValueError as error:
+            raise ValueError(f"{label}, {name}={value:g}: {error}") from None
+        found.append(Contestant(f"{label} {name}={value:g}", varied, label, value))
+    return found
