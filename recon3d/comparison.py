@@ -183,7 +183,8 @@ class Comparison(Summarised):
         if truth := self.conditions["evaluation"]:
             notes += (
                 f" Accuracy: the distance that {truth['accuracy_percent']:g}% of the mesh keep; completeness and "
-                f"precision: shares of ground truth and mesh within {truth['completeness_threshold_mm']:g} mm of the other."
+                "precision: shares of ground truth and mesh that lie within "
+                f"{truth['completeness_threshold_mm']:g} mm of the other."
             )
         return notes
 
@@ -338,10 +339,8 @@ class _Contest:
             silhouette = b"" if view.silhouette is None else view.silhouette.tobytes()
             digest.update(view.projection.tobytes() + view.image.tobytes() + silhouette)
         truth: Any = self.ground_truth
-        shape = [] if truth is None else [getattr(truth, name) for name in ("vertices", "triangles", "points")
-                                          if hasattr(truth, name)]  # fmt: skip
-        options = [part for name in sorted(self.options) if self.options[name] is not None
-                   for part in (name, self.options[name])]  # fmt: skip
+        shape = [getattr(truth, name) for name in ("vertices", "triangles", "points") if hasattr(truth, name)]
+        options = [part for item in sorted(self.options.items()) if item[1] is not None for part in item]
         bounds = [self.used.bounds.min_bound, self.used.bounds.max_bound, self.used.mm_per_unit]
         for part in (*bounds, *shape, *options):
             digest.update(np.asarray(part).tobytes())

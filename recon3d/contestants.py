@@ -36,6 +36,8 @@ def contestants(tests: Tests, sweep: Sweep | None = None) -> list[Contestant]:
     ------
     ValueError : no such test, two of one label, a parameter that none has, or a value that a test refuses.
     """
+    if sweep and not len(sweep[1]):
+        raise ValueError(f"expected one or more values of {sweep[0]}")
     found = [
         variant
         for label, test in _labelled(tests)
@@ -46,11 +48,8 @@ def contestants(tests: Tests, sweep: Sweep | None = None) -> list[Contestant]:
     if not found or repeated:
         raise ValueError(f"expected tests of different labels, got {', '.join(repeated) or 'none'}")
     if sweep and all(contestant.value is None for contestant in found):
-        known = {name for contestant in found for name in _parameters(contestant.test)}
-        raise ValueError(
-            f"expected one or more values of a parameter among {', '.join(sorted(known)) or 'none'}, "
-            f"got {sweep[0]!r} and {len(sweep[1])} values"
-        )
+        known = sorted({name for contestant in found for name in _parameters(contestant.test)})
+        raise ValueError(f"expected a parameter among {', '.join(known) or 'none'}, got {sweep[0]!r}")
     return found
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import json
+import math
 import sys
 import tempfile
 from collections.abc import Iterator
@@ -115,7 +116,7 @@ def sweep_of(option: str) -> tuple[str, list[float]]:
     name, _, text = option.partition("=")
     try:
         low, high, step = (ast.literal_eval(number) for number in text.split(":"))
-        values = [round(low + n * step, 12) for n in range(int((high - low) / step + 1e-9) + 1)]
+        values = [round(low + n * step, 12) for n in range(math.floor((high - low) / step + 1e-9) + 1)]
     except (ValueError, SyntaxError, TypeError, ArithmeticError):
         values = []
     if not (name and values):

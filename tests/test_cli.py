@@ -39,7 +39,7 @@ def result(photographs: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_help_says_what_each_command_does() -> None:
     text = run("--help").stdout
-    for command in ("demo", "info", "reconstruct", "evaluate", "render"):
+    for command in ("demo", "info", "reconstruct", "compare", "evaluate", "render"):
         assert command in text
         assert "Usage" in run(command, "--help").stdout
 
@@ -89,6 +89,23 @@ def test_a_test_and_its_options_are_chosen_by_name(photographs: Path, tmp_path: 
     assert len(record["scene"]["views"]) == 5
 
 
+def test_tests_are_compared_swept_and_written(photographs: Path, temple: recon3d.BuiltInScene, tmp_path: Path) -> None:
+    truth = recon3d.write_geometry(tmp_path / "truth.ply", temple.ground_truth)
+    command = ["compare", photographs, "--tests", "standard-deviation", "--sweep", "threshold=40:60:20"]
+    command += ["--voxels", 8000, "--max-views", 4, "-o", tmp_path, "--ground-truth", truth, "--real", truth]
+    text = run(*command, "--completeness-threshold", 3).stdout
+    record = json.loads((tmp_path / "comparison.json").read_text())
+    labels = [trial["label"] for trial in record["trials"]]
+    assert labels == ["standard-deviation threshold=40", "standard-deviation threshold=60"]
+    assert all(f"| {label} " in text for label in labels)
+    assert "within 3 mm" in text
+    assert record["trials"][0]["completeness_percent"] > 0
+    assert (len(record["views"]), len(record["left_out"])) == (4, 2)
+    for name in ("comparison.md", "contact_sheet.png", "trade_off.png"):
+        assert str(tmp_path / name) in text
+    assert len(list((tmp_path / "trials").glob("*.json"))) == 2
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -121,6 +138,8 @@ def test_a_test_and_its_options_are_chosen_by_name(photographs: Path, tmp_path: 
         (["reconstruct", "PHOTOGRAPHS", "--mm-per-unit", "inf"], "expected mm_per_unit > 0, got inf"),
         (["reconstruct", "PHOTOGRAPHS", "--output", __file__], "expected a folder that can be written"),
         (["reconstruct", "little-temple", "--bounds", "0,0,0,1,1,1"], "it has its own bounds"),
+        (["compare", "PHOTOGRAPHS", "--tests", "fuzzy,magic"], "expected a test among fuzzy, "),
+        (["compare", "PHOTOGRAPHS", "--sweep", "threshold=1:2"], "--sweep: expected NAME=LOW:HIGH:STEP"),
         (["demo", "--noise", "nan"], "expected 0 <= noise < 256"),
         (["render", str(Path(__file__).parent)], "expected the folder of a result"),
         (["evaluate", "nowhere.ply", "nowhere.ply"], "nowhere.ply: no such file"),

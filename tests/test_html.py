@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from recon3d.html import Summarised, thumbnails
+from recon3d.html import Summarised, grid_html, labelled_row, thumbnails
 
 
 class Told(Summarised):
@@ -51,3 +51,17 @@ def test_thumbnails_stand_in_rows_padded_with_white() -> None:
     assert mixed.shape == (20, 80, 3)
     assert (mixed[10:, :60] == 255).all()
     assert (mixed[:, 60:] == 40).all()
+
+
+def test_a_table_of_many_columns_is_escaped() -> None:
+    page = grid_html("<a>", [["name", "x"], ["<b>", "1"]])
+    assert "&lt;a&gt;" in page
+    assert "&lt;b&gt;</th><td style='text-align:right'>1</td>" in page
+
+
+def test_a_label_stands_beside_its_pictures_and_never_on_them() -> None:
+    grey = np.full((10, 20, 3), 120, np.uint8)
+    row = labelled_row("incomprehensibilities of words", [grey, grey], width=20)
+    assert row.shape == (68, 60, 3)  # three words need more height than the pictures
+    assert (row[:10, 20:] == 120).all()
+    assert (row[:, :20] < 255).any()
