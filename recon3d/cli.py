@@ -26,6 +26,7 @@ from recon3d.terminal import (
     save,
     say,
     sweep_of,
+    views_of,
     writable,
 )
 
@@ -61,6 +62,10 @@ SilhouettesOption = Annotated[
         metavar="auto|segmented|threshold|none|FOLDER",
         help="Masks of the object: auto takes the scene's own, or else segments the dark background.",
     ),
+]
+ViewsOption = Annotated[
+    str,
+    typer.Option(metavar="auto|all|NAME,NAME", help="auto: as many as the method admits; names may hold wildcards."),
 ]
 UnitOption = Annotated[float, typer.Option(metavar="MM", help="Millimetres in one world unit (1000: metres).")]
 PercentOption = Annotated[float, typer.Option(metavar="PERCENT", help="Share of the reconstruction for accuracy.")]
@@ -156,12 +161,7 @@ def reconstruct(
     test_option: Annotated[
         list[str] | None, typer.Option(metavar="NAME=VALUE", help="Parameter of the test; may be repeated.")
     ] = None,
-    views: Annotated[
-        str,
-        typer.Option(
-            metavar="auto|all|NAME,NAME", help="auto: as many as the method admits; names may hold wildcards."
-        ),
-    ] = "auto",
+    views: ViewsOption = "auto",
     max_views: Annotated[int | None, typer.Option(help="With --views auto: at most so many.")] = None,
     fill_hidden: Annotated[bool, typer.Option("--fill-hidden", help="Mesh what lies hidden, too: solid.")] = False,
     keep_unseen: Annotated[
@@ -178,7 +178,6 @@ def reconstruct(
     from recon3d.io import read_mesh
     from recon3d.settings import Settings
 
-    chosen_views: Any = views if views in ("auto", "all") else tuple(views.split(","))
     size: dict[str, Any] = {} if n_voxels is None else {"n_voxels": n_voxels}
     settings = Settings(
         **size,
@@ -186,7 +185,7 @@ def reconstruct(
         method=method,
         method_options=keywords(method_option or []),
         test=make_test(test, test_option or []) if test or test_option else None,
-        views=chosen_views,
+        views=views_of(views),
         max_views=max_views,
         fill_hidden=fill_hidden,
         keep_unseen=keep_unseen,
@@ -265,6 +264,7 @@ def compare(
     method_option: Annotated[
         list[str] | None, typer.Option(metavar="NAME=VALUE", help="Option of the method; may be repeated.")
     ] = None,
+    views: ViewsOption = "auto",
     max_views: Annotated[int | None, typer.Option(help="At most so many views, after those left out.")] = None,
     leave_out: Annotated[
         str,
@@ -291,7 +291,11 @@ def compare(
     swept = sweep_of(sweep) if sweep else None
     contestants(chosen, swept)  # a mistake here need not wait for the photographs
     settings = Settings(
-        n_voxels=n_voxels, method=method, method_options=keywords(method_option or []), max_views=max_views
+        n_voxels=n_voxels,
+        method=method,
+        method_options=keywords(method_option or []),
+        views=views_of(views),
+        max_views=max_views,
     )
     options: dict[str, Any] = {}
     if ground_truth:

@@ -87,7 +87,11 @@ _COLUMNS: dict[str, tuple[str, str]] = {
 }
 """Heading and format of each of a trial's figures in the table."""
 
-_AXES = (("completeness_percent", "precision_percent"), ("overlap_percent", "median_error"), ("accepted", "mean_error"))
+_AXES = (
+    ("completeness_percent", "precision_percent"),
+    ("overlap_percent", "median_error"),
+    ("accepted", "median_error"),
+)
 """What the trade-off is drawn of: the first pair that is known."""
 
 
@@ -128,13 +132,17 @@ class Comparison(Summarised):
         Precision against completeness where a ground truth was given, else re-projection error against overlap with
         the silhouettes, or against the number of voxels. Swept tests are lines; tests that left nothing are not shown.
         """
-        x, y = next(pair for pair in _AXES if pair == _AXES[-1] or self._known(pair))
+        figures = [asdict(trial) for trial in self.trials]
+        known = (
+            pair for pair in _AXES if any(row[pair[0]] is not None and row[pair[1]] is not None for row in figures)
+        )
+        x, y = next(known, _AXES[-1])
         points: dict[str, list[tuple[float, float, str]]] = {}
-        for trial in self.trials:
-            if getattr(trial, x) is not None and getattr(trial, y) is not None:
-                told = "" if trial.value is None else f"{trial.value:g}"
-                points.setdefault(trial.family, []).append((getattr(trial, x), getattr(trial, y), told))
-        return plot_trade_off(points, xlabel=_COLUMNS[x][0], ylabel=_COLUMNS.get(y, ("mean error", ""))[0])
+        for row in figures:
+            if row[x] is not None and row[y] is not None:
+                told = "" if row["value"] is None else f"{row['value']:g}"
+                points.setdefault(row["family"], []).append((row[x], row[y], told))
+        return plot_trade_off(points, xlabel=_COLUMNS[x][0], ylabel=_COLUMNS[y][0])
 
     def save(self, folder: Path | str) -> dict[str, Path]:
         """Write figures (JSON), table (Markdown), contact sheet and trade-off (PNG); returns role to path."""
@@ -165,9 +173,6 @@ class Comparison(Summarised):
 
     def _repr_html_(self) -> str:
         return grid_html(self._title(), self.table()) + f"<p>{self._notes()}</p>"
-
-    def _known(self, names: Sequence[str]) -> bool:
-        return any(all(getattr(trial, name) is not None for name in names) for trial in self.trials)
 
     def _title(self) -> str:
         c = self.conditions
@@ -233,7 +238,7 @@ def compare(
         report("tests", n, len(entries))
         found = kept.find(entry) if kept else None
         if found is None:
-            found = contest.run(entry, lambda stage, done, total: report(f"{stage} of each", done, total))
+            found = contest.run(entry, report)
             if kept:
                 kept.keep(entry, *found)
         trials.append(found[0])
@@ -252,7 +257,8 @@ class _Contest:
     """Views of the contact sheet."""
     settings: Settings
     """Resolved, but for the test."""
-    volume: CarvingVolume
+    voxels: int
+    """Of the volume."""
     ground_truth: o3d.geometry.TriangleMesh | o3d.geometry.PointCloud | None
     options: Mapping[str, Any]
     """Of ``evaluate``."""
@@ -305,12 +311,11 @@ class _Contest:
         if self.ground_truth is None:
             return trial
         figures = evaluate(result.mesh, self.ground_truth, mm_per_unit=self.used.mm_per_unit, **self.options)
-        within = np.searchsorted(figures.accuracy_distances, figures.completeness_threshold_mm, side="right")
         return replace(
             trial,
             accuracy_mm=figures.accuracy_mm,
             completeness_percent=figures.completeness_percent,
-            precision_percent=100 * float(within) / len(figures.accuracy_distances),
+            precision_percent=figures.precision_percent,
         )
 
     def record(self) -> dict[str, Any]:
@@ -321,7 +326,7 @@ class _Contest:
             "scene": self.used.name,
             "source": self.used.notes.get("source"),
             "settings": plain,
-            "voxels": self.volume.occupied.size,
+            "voxels": self.voxels,
             "views": [view.name for view in self.used.views],
             "left_out": [view.name for view in self.left_out],
             "evaluation": None
@@ -375,7 +380,7 @@ def _contest(
         left_out,
         replace(admitted, views=tuple(admitted.views[n] for n in chosen)),
         replace(resolved, test=None, views="all", max_views=None),
-        CarvingVolume.enclosing(scene.bounds, voxel_size=resolved.voxel_size, n_voxels=resolved.n_voxels),
+        CarvingVolume.enclosing(scene.bounds, voxel_size=resolved.voxel_size, n_voxels=resolved.n_voxels).occupied.size,
         ground_truth,
         options,
     )

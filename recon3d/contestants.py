@@ -9,6 +9,8 @@ from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import partial
 from typing import Any
 
+import numpy as np
+
 from recon3d.consistency import TESTS, ConsistencyTest, load_test
 
 Tests = str | Iterable[str | ConsistencyTest] | Mapping[str, str | ConsistencyTest]
@@ -118,7 +120,7 @@ def _swept(label: str, test: ConsistencyTest, name: str, values: Sequence[float]
     if name not in _parameters(test):
         return [Contestant(label, test, label)]
     found = []
-    for value in values:
+    for value in np.asarray(values).tolist():  # plain numbers, which have one text
         try:
             change: dict[str, Any] = {name: value}
             varied = replace(test, **change) if is_dataclass(test) else partial(test, **change)

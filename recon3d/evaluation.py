@@ -50,6 +50,12 @@ class Evaluation(Summarised):
         """Share of G that lies within ``completeness_threshold_mm`` of R; larger is better."""
         return self.completeness_at(self.completeness_threshold_mm)
 
+    @property
+    def precision_percent(self) -> float:
+        """Share of R that lies within ``completeness_threshold_mm`` of G; larger is better."""
+        right = np.searchsorted(self.accuracy_distances, self.completeness_threshold_mm, side="right")
+        return 100.0 * int(right) / len(self.accuracy_distances)
+
     def accuracy_at(self, percent: float) -> float:
         """Distance in mm within which a percentage of R lies from G (nearest rank)."""
         rank = int(np.ceil(percent / 100 * len(self.accuracy_distances) - 1e-9))

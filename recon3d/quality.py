@@ -162,7 +162,7 @@ class Quality(Summarised):
         return {
             f"re-projection ({len(self.views)} views)": f"{error}{overlap}",
             "shape": f"{shape.components - 1:,} floating pieces ({100 * shape.floating_share:.2g}% of the area), "
-            f"{shape.boundary_loops:,} holes{genus}, {shape.nonmanifold_edges:,} non-manifold edges, "
+            f"{shape.boundary_loops:,} open rims{genus}, {shape.nonmanifold_edges:,} non-manifold edges, "
             f"{shape.dihedral_degrees:.1f} degrees between neighbouring triangles",
         }
 

@@ -97,6 +97,11 @@ def make_test(name: str | None, options: list[str]) -> ConsistencyTest:
         raise ValueError(f"{'--test-option' if values else '--test'}: {error}") from None
 
 
+def views_of(option: str) -> Any:
+    """The settings' choice of views: "auto", "all" or a tuple of names."""
+    return option if option in ("auto", "all") else tuple(option.split(","))
+
+
 def keywords(options: list[str]) -> dict[str, Any]:
     """Keyword arguments of NAME=VALUE options; a value that is no Python literal is text."""
     values = {}

@@ -67,7 +67,7 @@ def test_a_sweep_varies_the_tests_that_have_its_parameter() -> None:
     assert [entry.value for entry in found] == [None, 0.25, 0.5, None]
     assert found[2].test == FuzzySingle(trim=0.2, threshold=0.5)
     assert [entry.family for entry in found[1:3]] == ["one", "one"]
-    levels = contestants([accept_all], ("level", (0.1, 0.2)))
+    levels = contestants([accept_all], ("level", np.array([0.1, 0.2])))  # type: ignore[arg-type]
     assert [entry.label for entry in levels] == ["accept_all level=0.1", "accept_all level=0.2"]
 
 
@@ -98,6 +98,8 @@ def test_every_built_in_test_has_an_identity_of_its_own() -> None:
     assert None not in found
     assert len(set(found)) == len(TESTS)
     assert identity(Adaptive()) == identity(Adaptive()) != identity(Adaptive(base=5))
+    (swept,) = contestants(["adaptive"], ("base", np.array([5])))  # type: ignore[arg-type]
+    assert identity(swept.test) == identity(Adaptive(base=5))
 
 
 def test_what_cannot_be_told_apart_has_no_identity() -> None:
