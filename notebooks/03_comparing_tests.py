@@ -20,7 +20,6 @@
 
 # %%
 # %matplotlib inline
-import matplotlib.pyplot as plt
 import numpy as np
 
 import recon3d
@@ -43,12 +42,6 @@ same_for_all = {
 # %%
 comparison = recon3d.compare(scene, ["fuzzy", "adaptive", "histogram", "colour-caching", "ncc"], **same_for_all)
 comparison
-
-# %%
-plt.figure(figsize=(10, 9))
-plt.imshow(comparison.picture())
-plt.axis("off")
-plt.show()
 
 # %% [markdown]
 # ## One test, many thresholds

@@ -298,6 +298,8 @@ def compare(
         max_views=max_views,
     )
     options: dict[str, Any] = {}
+    if real and not ground_truth:
+        raise ValueError("--real: expected --ground-truth, too")
     if ground_truth:
         truth, mask = read_ground_truth(ground_truth, real=real, real_within_mm=real_within, mm_per_unit=mm_per_unit)
         options = {

@@ -172,7 +172,7 @@ class Comparison(Summarised):
         return self.sheet
 
     def _repr_html_(self) -> str:
-        return grid_html(self._title(), self.table()) + f"<p>{self._notes()}</p>"
+        return grid_html(self._title(), self.table(), self._notes(), self.sheet)
 
     def _title(self) -> str:
         c = self.conditions

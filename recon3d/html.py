@@ -38,23 +38,28 @@ def _figure_html(title: str, rows: Mapping[str, object], picture: NDArray[np.uin
     table = f"<div><b>{html.escape(title)}</b><table>{cells}</table></div>"
     if picture is None:
         return table
-    _, png = cv2.imencode(".png", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
-    data = base64.b64encode(png.tobytes()).decode()
     return (
-        f"<div style='display:flex;gap:1em;align-items:center'>{table}"
-        f"<img src='data:image/png;base64,{data}' style='max-height:320px' alt=''></div>"
+        f"<div style='display:flex;gap:1em;align-items:center'>{table}{_image_html(picture, 'max-height:320px')}</div>"
     )
 
 
-def grid_html(title: str, rows: Sequence[Sequence[str]]) -> str:
-    """HTML of a titled table with a heading row and a heading column; numbers to the right."""
+def _image_html(picture: NDArray[np.uint8], style: str) -> str:
+    """HTML of an embedded RGB picture."""
+    _, png = cv2.imencode(".png", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
+    data = base64.b64encode(png.tobytes()).decode()
+    return f"<img src='data:image/png;base64,{data}' style='{style}' alt=''>"
+
+
+def grid_html(title: str, rows: Sequence[Sequence[str]], notes: str, picture: NDArray[np.uint8]) -> str:
+    """HTML of a titled table with a heading row and a heading column, with notes and an RGB picture below it."""
     heading, *body = rows
     cells = "".join(f"<th>{html.escape(name)}</th>" for name in heading)
     lines = [f"<tr>{cells}</tr>"]
     for first, *others in body:
         cells = "".join(f"<td style='text-align:right'>{html.escape(cell)}</td>" for cell in others)
         lines.append(f"<tr><th style='text-align:left'>{html.escape(first)}</th>{cells}</tr>")
-    return f"<div><b>{html.escape(title)}</b><table>{''.join(lines)}</table></div>"
+    table = f"<b>{html.escape(title)}</b><table>{''.join(lines)}</table><p>{html.escape(notes)}</p>"
+    return f"<div>{table}{_image_html(picture, 'max-width:100%')}</div>"
 
 
 def labelled_row(label: str, images: list[NDArray[np.uint8]], *, width: int) -> NDArray[np.uint8]:

@@ -140,6 +140,7 @@ def test_tests_are_compared_swept_and_written(photographs: Path, temple: recon3d
         (["reconstruct", "little-temple", "--bounds", "0,0,0,1,1,1"], "it has its own bounds"),
         (["compare", "PHOTOGRAPHS", "--tests", "fuzzy,magic"], "expected a test among fuzzy, "),
         (["compare", "PHOTOGRAPHS", "--sweep", "threshold=1:2"], "--sweep: expected NAME=LOW:HIGH:STEP"),
+        (["compare", "PHOTOGRAPHS", "--real", "nowhere.ply"], "--real: expected --ground-truth, too"),
         (["demo", "--noise", "nan"], "expected 0 <= noise < 256"),
         (["render", str(Path(__file__).parent)], "expected the folder of a result"),
         (["evaluate", "nowhere.ply", "nowhere.ply"], "nowhere.ply: no such file"),

@@ -54,7 +54,8 @@ def test_thumbnails_stand_in_rows_padded_with_white() -> None:
 
 
 def test_a_table_of_many_columns_is_escaped() -> None:
-    page = grid_html("<a>", [["name", "x"], ["<b>", "1"]])
+    page = grid_html("<a>", [["name", "x"], ["<b>", "1"]], "<c>", Shown().picture())
+    assert "<p>&lt;c&gt;</p><img" in page
     assert "&lt;a&gt;" in page
     assert "&lt;b&gt;</th><td style='text-align:right'>1</td>" in page
 
