@@ -14,7 +14,7 @@ from .carving import (
     vote_carving,
     voxel_coloring,
 )
-from .comparison import Comparison, Trial, compare
+from .comparison import Comparison, compare
 from .consistency import (
     TESTS,
     ConsistencyTest,
@@ -63,6 +63,7 @@ from .silhouettes import (
 )
 from .sparse import SparseVolume
 from .surface import mesh_sparse, mesh_volume, surface_points
+from .trials import Trial
 from .volume import CarvingVolume
 
 __all__ = [

@@ -13,7 +13,7 @@ import open3d as o3d
 import pytest
 
 import recon3d
-from recon3d import comparison
+from recon3d import trials
 from recon3d.consistency import TESTS, Adaptive, FuzzySingle
 from recon3d.contestants import contestants, identity
 from recon3d.terminal import sweep_of
@@ -35,13 +35,13 @@ def closure(level: float) -> Callable[[recon3d.Patches], recon3d.Verdict]:
 def runs(monkeypatch: pytest.MonkeyPatch) -> list[object]:
     """Tests that were run, in order."""
     seen: list[object] = []
-    original = comparison.reconstruct
+    original = trials.reconstruct
 
     def counted(scene: recon3d.Scene, settings: recon3d.Settings, **rest: object) -> recon3d.Reconstruction:
         seen.append(settings.test)
         return original(scene, settings, **rest)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(comparison, "reconstruct", counted)
+    monkeypatch.setattr(trials, "reconstruct", counted)
     return seen
 
 
