@@ -34,7 +34,7 @@ def peak_memory() -> Iterator[PeakMemory]:
     found = PeakMemory()
     try:
         before = _reset()
-    except (OSError, AttributeError):
+    except OSError:
         before = None
     try:
         yield found
