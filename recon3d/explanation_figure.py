@@ -1,0 +1,194 @@
+"""The picture of an explanation: crops of the photographs, luminances, degree and thresholds, neighbours."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+from textwrap import fill
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import to_rgba
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Rectangle
+from numpy.typing import NDArray
+
+from recon3d.carving import Label
+
+_COLUMNS = 6
+_LABEL_COLORS = {
+    Label.UNSEEN: "#eeeeee",
+    Label.BACKGROUND: "#c7d7ee",
+    Label.INCONSISTENT: "#f3b6a6",
+    Label.HIDDEN: "#c9c9c9",
+    Label.CONSISTENT: "#b9e0b4",
+}
+
+
+class PixelKind(IntEnum):
+    """What a pixel of a voxel's box was when the voxel was judged."""
+
+    BACKGROUND = 0
+    """Outside the silhouette."""
+    FOREGROUND = 1
+    """May show the object; nobody asked it about the voxel."""
+    TAKEN = 2
+    """Foreground that showed something else by then: claimed before, or seeing another voxel."""
+    VOTED = 3
+    """Foreground that showed the voxel."""
+
+
+_KINDS = {
+    PixelKind.VOTED: ("voted", "#00d000"),
+    PixelKind.TAKEN: ("shows something else", "#ff9000"),
+    PixelKind.FOREGROUND: ("foreground, not asked", "#b0b0b0"),
+    PixelKind.BACKGROUND: ("background", "#3080ff"),
+}
+
+
+@dataclass(frozen=True)
+class Crop:
+    """A view's photograph and the voxel's box in it."""
+
+    image: NDArray[np.uint8]
+    """(height, width, 3) RGB, whole."""
+    box: tuple[int, int, int, int]
+    """u0, u1, v0, v1, inclusive."""
+    kinds: NDArray[np.uint8]
+    """(rows, columns) ``PixelKind`` of the pixels in the box."""
+    caption: str
+    warns: bool
+    """Whether the view's silhouette excludes the voxel."""
+
+
+@dataclass(frozen=True)
+class NeighbourSlices:
+    """The voxel and its 26 neighbours."""
+
+    labels: NDArray[np.int64]
+    """(3, 3, 3) ``Label``; -1 outside the volume."""
+    degrees: NDArray[np.float64]
+    """(3, 3, 3); NaN where the test was not asked."""
+    through: tuple[int, ...] | None
+    """(3,) index, 0 to 2, of the neighbour that connects a candidate."""
+
+
+def draw_explanation(
+    title: str,
+    crops: Sequence[Crop],
+    luminances: Sequence[tuple[str, NDArray[np.uint8], NDArray[np.int64]]],
+    judgements: Sequence[tuple[float, float, float]],
+    neighbours: NeighbourSlices,
+) -> NDArray[np.uint8]:
+    """RGB picture of everything.
+
+    Parameters
+    ----------
+    luminances : name, colours (n, 3) and luminances (n,) of the pixels that voted, view by view.
+    judgements : degree, low and high threshold of every judgement, the last being the decisive one.
+    """
+    rows = -(-len(crops) // _COLUMNS)
+    columns = max(-(-len(crops) // max(rows, 1)), 4)
+    figure = Figure(figsize=(2.0 * columns, 0.9 + 2.35 * rows + 2.9), layout="constrained", dpi=100)
+    figure.suptitle(fill(title, 17 * columns), fontsize=11, x=0.01, ha="left")
+    upper, lower = figure.subfigures(2, 1, height_ratios=(max(2.35 * rows, 0.4), 2.9))
+    for cell, crop in zip(upper.subplots(max(rows, 1), columns, squeeze=False).flat, crops, strict=False):
+        _draw_crop(cell, crop)
+    for cell in [axes for axes in upper.axes if not axes.images]:
+        cell.axis("off")
+    present = {kind for crop in crops for kind in np.unique(crop.kinds)}
+    handles = [
+        Line2D([], [], marker="s", ls="", mfc="none", mec=color, mew=2, label=name)
+        for kind, (name, color) in _KINDS.items()
+        if kind in present
+    ]
+    if handles:
+        upper.legend(handles=handles, loc="outside lower left", ncols=len(_KINDS), fontsize=8, frameon=False)
+    left, right = lower.subfigures(1, 2, width_ratios=(1, 1))
+    pixels, scale = left.subplots(2, 1, height_ratios=(3, 1))
+    _draw_luminances(pixels, [entry for entry in luminances if len(entry[2])])
+    _draw_scale(scale, judgements)
+    right.suptitle("the voxel (bold) and its neighbours, by label and degree", fontsize=8)
+    for k, axes in enumerate(right.subplots(1, 3)):
+        _draw_slice(axes, neighbours, k)
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    return np.asarray(canvas.buffer_rgba())[..., :3].copy()
+
+
+def _draw_crop(axes: Axes, crop: Crop) -> None:
+    """The surroundings of a voxel's box, each of its pixels framed in the colour of its kind."""
+    u0, u1, v0, v1 = crop.box
+    half = 0.5 * max(u1 - u0 + 1, v1 - v0 + 1)
+    reach = half + max(6.0, 1.5 * half)
+    u, v = (u0 + u1) / 2, (v0 + v1) / 2
+    axes.imshow(crop.image, interpolation="nearest")
+    axes.set(xlim=(u - reach, u + reach), ylim=(v + reach, v - reach), xticks=[], yticks=[], facecolor="white")
+    axes.add_patch(Rectangle((u0 - 0.5, v0 - 0.5), u1 - u0 + 1, v1 - v0 + 1, fc="none", ec="white", lw=2.5))
+    # One image instead of many frames where pixels are too small for them.
+    if crop.kinds.size <= 400:
+        for row, column in np.ndindex(crop.kinds.shape):
+            color = _KINDS[PixelKind(int(crop.kinds[row, column]))][1]
+            axes.add_patch(Rectangle((u0 + column - 0.4, v0 + row - 0.4), 0.8, 0.8, fc="none", ec=color, lw=1.2))
+    else:
+        tints = np.array([to_rgba(_KINDS[kind][1], 0.4) for kind in PixelKind])
+        axes.imshow(tints[crop.kinds], extent=(u0 - 0.5, u1 + 0.5, v1 + 0.5, v0 - 0.5), interpolation="nearest")
+        axes.set(xlim=(u - reach, u + reach), ylim=(v + reach, v - reach))
+    axes.set_title(crop.caption, fontsize=8, color="#c02000" if crop.warns else "black")
+
+
+def _draw_luminances(axes: Axes, entries: Sequence[tuple[str, NDArray[np.uint8], NDArray[np.int64]]]) -> None:
+    """Every voting pixel at its luminance, in its own colour, a line for each view."""
+    if not entries:
+        axes.axis("off")
+        axes.text(0.5, 0.5, "no pixel voted", ha="center", va="center", fontsize=9, transform=axes.transAxes)
+        return
+    for row, (_, colors, values) in enumerate(entries):
+        axes.scatter(values, np.full(len(values), row), c=colors / 255, edgecolors="#777777", linewidths=0.5, s=34)
+    axes.set(xlim=(-4, 259), ylim=(len(entries) - 0.4, -0.6))
+    axes.set_yticks(range(len(entries)), [name for name, _, _ in entries])
+    axes.tick_params(labelsize=7)
+    axes.set_xlabel("luminance of the pixels that voted", fontsize=8)
+    axes.grid(axis="y", color="#eeeeee")
+    axes.set_axisbelow(True)
+
+
+def _draw_scale(axes: Axes, judgements: Sequence[tuple[float, float, float]]) -> None:
+    """Degrees between 0 and 1 against the thresholds."""
+    if not judgements:
+        axes.axis("off")
+        return
+    degree, low, high = judgements[-1]
+    zones = ((0.0, low, Label.INCONSISTENT), (high, 1.0, Label.CONSISTENT))
+    for start, end, label in zones:
+        axes.axvspan(start, end, color=_LABEL_COLORS[label], lw=0)
+    axes.axvspan(low, high, color="#ffe9a0", lw=0)
+    for earlier, _, _ in judgements[:-1]:
+        axes.axvline(earlier, color="#999999", lw=1, ls=":")
+    axes.axvline(degree, color="black", lw=2.5)
+    axes.set(xlim=(0, 1), ylim=(0, 1), yticks=[])
+    axes.set_xticks([0, low, high, 1] if high - low > 0.1 else [0, (low + high) / 2, 1])
+    text = f"{low:.3f}" if low == high else f"{low:.3f} to {high:.3f}"
+    axes.set_xticklabels(["0", f"{low:.3f}", f"{high:.3f}", "1"] if high - low > 0.1 else ["0", text, "1"])
+    axes.tick_params(labelsize=7)
+    axes.set_xlabel(f"degree {degree:.3f} (line): carved, candidate, consistent", fontsize=8)
+
+
+def _draw_slice(axes: Axes, neighbours: NeighbourSlices, k: int) -> None:
+    """Nine voxels of one z, x to the right, y up."""
+    axes.set(xlim=(-0.5, 2.5), ylim=(-0.5, 2.5), aspect="equal")
+    axes.axis("off")
+    axes.set_title(("z - 1", "z", "z + 1")[k], fontsize=8)
+    for i, j in np.ndindex(3, 3):
+        label, degree = int(neighbours.labels[i, j, k]), neighbours.degrees[i, j, k]
+        color = _LABEL_COLORS[Label(label)] if label >= 0 else "white"
+        axes.add_patch(Rectangle((i - 0.5, j - 0.5), 1, 1, fc=color, ec="white", lw=1))
+        name = Label(label).name.lower()[:6] if label >= 0 else ""
+        axes.text(i, j, name if np.isnan(degree) else f"{degree:.2f}", ha="center", va="center", fontsize=7)
+    bold = [((1, 1, 1), "black")] + ([(neighbours.through, "#007000")] if neighbours.through is not None else [])
+    for (i, j, at_k), color in bold:
+        if at_k == k:
+            axes.add_patch(Rectangle((i - 0.46, j - 0.46), 0.92, 0.92, fc="none", ec=color, lw=2))
