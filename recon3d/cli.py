@@ -286,7 +286,7 @@ def explain(
         str | None,
         typer.Option(
             metavar="VIEW,U,V",
-            help="The surface that this pixel shows; where it shows none, the voxel on its ray that came nearest to it.",
+            help="The surface that the pixel shows; where there is none, what came nearest to it on the ray.",
         ),
     ] = None,
     output: OutputOption = None,

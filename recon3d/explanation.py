@@ -174,7 +174,7 @@ class Explanation(Summarised):
         volume, last = self.hull.volume, self.last
         rows: dict[str, object] = {
             "voxel": f"{_text(self.voxel)} of {' x '.join(map(str, volume.shape))}",
-            "centre": ",".join(f"{x:.6g}" for x in self.center),
+            "centre": _place(self.center),
             **({"chosen": self.chosen} if self.chosen else {}),
             "outcome": self.outcome(),
         }
@@ -272,7 +272,7 @@ def voxel_at(volume: CarvingVolume, at: ArrayLike | None) -> Voxel:
     """The voxel of a volume that holds a place (3,) in the world."""
     place = np.asarray(at, np.float64)
     if place.shape != (3,) or not np.isfinite(place).all():
-        raise ValueError(f"expected a place of three finite numbers, got {at}")
+        raise ValueError(f"expected a place of three finite numbers, got {at!r}")
     index = np.floor((place - volume.origin) / volume.voxel_size).astype(np.int64)
     if (index < 0).any() or (index >= volume.shape).any():
         low, high = (_place(corner) for corner in (volume.bounds.min_bound, volume.bounds.max_bound))
@@ -420,5 +420,5 @@ def _text(voxel: Voxel) -> str:
     return f"({', '.join(map(str, voxel))})"
 
 
-def _place(point: ArrayLike) -> str:
-    return ",".join(f"{x:.6g}" for x in np.asarray(point))
+def _place(point: NDArray[np.float64]) -> str:
+    return ",".join(f"{x:.6g}" for x in point)

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from textwrap import fill
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -94,7 +95,7 @@ def draw_explanation(
     columns = max(-(-len(crops) // max(rows, 1)), 4)
     figure = Figure(figsize=(2.0 * columns, 0.9 + 2.35 * rows + 2.9), layout="constrained", dpi=100)
     figure.suptitle(fill(title, 17 * columns), fontsize=11, x=0.01, ha="left")
-    upper, lower = figure.subfigures(2, 1, height_ratios=(max(2.35 * rows, 0.4), 2.9))
+    upper, lower = np.asarray(figure.subfigures(2, 1, height_ratios=(max(2.35 * rows, 0.4), 2.9)))
     for cell, crop in zip(upper.subplots(max(rows, 1), columns, squeeze=False).flat, crops, strict=False):
         _draw_crop(cell, crop)
     for cell in [axes for axes in upper.axes if not axes.images]:
@@ -107,14 +108,14 @@ def draw_explanation(
     ]
     if handles:
         upper.legend(handles=handles, loc="outside lower left", ncols=len(_KINDS), fontsize=8, frameon=False)
-    left, right = lower.subfigures(1, 2, width_ratios=(1, 1))
+    left, right = np.asarray(lower.subfigures(1, 2))
     pixels, scale = left.subplots(2, 1, height_ratios=(3, 1))
     _draw_luminances(pixels, [entry for entry in luminances if len(entry[2])])
     _draw_scale(scale, judgements)
     right.suptitle("the voxel (bold) and its neighbours, by label and degree", fontsize=8)
     for k, axes in enumerate(right.subplots(1, 3)):
         _draw_slice(axes, neighbours, k)
-    canvas = FigureCanvasAgg(figure)
+    canvas: Any = FigureCanvasAgg(figure)  # matplotlib's canvases are not typed
     canvas.draw()
     return np.asarray(canvas.buffer_rgba())[..., :3].copy()
 

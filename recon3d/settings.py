@@ -111,8 +111,8 @@ class Settings:
         unknown = set(record) - {parameter.name for parameter in fields(cls)}
         if unknown:
             raise ValueError(f"unknown settings {', '.join(sorted(unknown))}")
-        values = {name: tuple(value) if isinstance(value, list) else value for name, value in record.items()}
-        return cls(**{**values, "test": _test_of(record["test"]) if record.get("test") else None})
+        values: dict[str, Any] = {name: _restored(value) for name, value in record.items()}
+        return cls(**values)
 
 
 def _record_of(test: Any) -> dict[str, Any]:
@@ -138,14 +138,17 @@ def _name_of(test: Any) -> str:
 _KINDS: dict[str, Any] = {getattr(kind, "__qualname__", ""): kind for kind in (*TESTS.values(), Hysteresis)}
 
 
+def _restored(value: Any) -> Any:
+    """A parameter as it was before it went through JSON: a tuple, a test, or itself."""
+    if isinstance(value, list):
+        return tuple(value)
+    return _test_of(value) if isinstance(value, dict) and "class" in value else value
+
+
 def _test_of(record: Mapping[str, Any]) -> ConsistencyTest:
     """The test that a record tells of."""
     name = record["class"]
-    parameters = {
-        key: _test_of(value) if isinstance(value, dict) and "class" in value else
-        tuple(value) if isinstance(value, list) else value
-        for key, value in record.items() if key != "class"
-    }  # fmt: skip
+    parameters = {key: _restored(value) for key, value in record.items() if key != "class"}
     if name in _KINDS:
         test: ConsistencyTest = _KINDS[name](**parameters)
         return test

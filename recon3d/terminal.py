@@ -149,7 +149,7 @@ def recorded_settings(result: Path, record: dict[str, Any] | None) -> Settings:
     """The settings that a result was made with, the same test among them."""
     from recon3d.settings import Settings
 
-    if record is None or record["settings"] is None:
+    if not result.exists() or record is None or record["settings"] is None:
         raise DataError(f"{result}: expected the folder of a result, with a record.json that tells the settings")
     try:
         return Settings.from_record(record["settings"])
@@ -175,8 +175,8 @@ def pixel_of(text: str | None) -> tuple[str, float, float] | None:
     if text is None:
         return None
     name, _, numbers = text.partition(",")
-    u, v = numbers_of("--pixel", numbers, "a view's name and two numbers U,V") or ()
-    return name, u, v
+    place = numbers_of("--pixel", numbers, "a view's name and two numbers U,V") or []
+    return name, place[0], place[1]
 
 
 def writable(folder: Path) -> Path:

@@ -78,8 +78,8 @@ class VoxelWatcher:
                 pixels[view, v0 : v1 + 1, u0 : u1 + 1] & (patches.counts[n, view] > 0)
                 for view, (u0, u1, v0, v1) in enumerate(self.boxes)
             )
-            numbers = (float(values[n]) for values in (verdict.degree, verdict.low, verdict.high))
-            self.judgements.append(Judgement(*numbers, votes))
+            degree, low, high = float(verdict.degree[n]), float(verdict.low[n]), float(verdict.high[n])
+            self.judgements.append(Judgement(degree, low, high, votes))
 
     def resolving(self, labels: NDArray[np.uint8]) -> None:
         """Keep how the voxel, where it is a candidate, is connected."""
