@@ -136,10 +136,10 @@ class Explanation(Summarised):
         if not last.path:
             return "a candidate that was not resolved in the end"
         if not last.connected:
-            return f"dropped: no consistent voxel touches it or the {last.n_connected - 1} candidates around it"
+            return f"dropped: no accepted voxel touches it or the {last.n_connected - 1} candidates around it"
         through = " - ".join(f"{_text(voxel)} {self.hull.degree[voxel]:.3f}" for voxel in last.path[1:][-4:])
         skipped = "... - " if len(last.path) > 5 else ""
-        return f"kept: candidates connect it to a consistent voxel, {skipped}{through}"
+        return f"kept: candidates connect it to an accepted voxel, {skipped}{through}"
 
     def neighbours(self) -> str:
         """Labels of the voxels around, and the range of their degrees."""
@@ -308,7 +308,7 @@ def _most_telling(scene: Scene, views: ViewArrays, hull: PhotoHull, ray: list[Vo
     judged = [voxel for voxel in before if not np.isnan(hull.degree[voxel])]
     best = max(judged, key=lambda voxel: float(hull.degree[voxel]), default=None)
     if first is not None:
-        text = f"first accepted voxel on the pixel's ray; {len(before)} before it were carved"
+        text = f"first accepted voxel on the pixel's ray; {len(before)} before it are empty"
         if best is not None:
             center = hull.volume.origin + hull.volume.voxel_size * (np.array(best) + 0.5)
             text += f", of which {_place(center)} with the highest degree, {hull.degree[best]:.3f}"
@@ -394,8 +394,10 @@ def _reason(judgement: Judgement) -> str:
         return f"carved, its degree {degree:.3f} is {where}"
     band = f"its degree {degree:.3f} lies between {low:.3f} and {high:.3f}"
     if judgement.connected:
-        return f"accepted, {band}, and a consistent voxel is {len(judgement.path) - 1} away through candidates"
-    return f"carved, {band}, and candidates connect it to no consistent voxel"
+        steps = len(judgement.path) - 1
+        how = "it touches an accepted voxel" if steps == 1 else f"candidates lead to an accepted voxel in {steps} steps"
+        return f"accepted, {band}, and {how}"
+    return f"carved, {band}, and candidates connect it to no accepted voxel"
 
 
 def _history(judgements: tuple[Judgement, ...]) -> str:

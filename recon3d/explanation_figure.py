@@ -94,7 +94,7 @@ def draw_explanation(
     rows = -(-len(crops) // _COLUMNS)
     columns = max(-(-len(crops) // max(rows, 1)), 4)
     figure = Figure(figsize=(2.0 * columns, 0.9 + 2.35 * rows + 2.9), layout="constrained", dpi=100)
-    figure.suptitle(fill(title, 17 * columns), fontsize=11, x=0.01, ha="left")
+    figure.suptitle(fill(title, 22 * columns), fontsize=11, x=0.01, ha="left")
     upper, lower = np.asarray(figure.subfigures(2, 1, height_ratios=(max(2.35 * rows, 0.4), 2.9)))
     for cell, crop in zip(upper.subplots(max(rows, 1), columns, squeeze=False).flat, crops, strict=False):
         _draw_crop(cell, crop)
@@ -112,7 +112,7 @@ def draw_explanation(
     pixels, scale = left.subplots(2, 1, height_ratios=(3, 1))
     _draw_luminances(pixels, [entry for entry in luminances if len(entry[2])])
     _draw_scale(scale, judgements)
-    right.suptitle("the voxel (bold) and its neighbours, by label and degree", fontsize=8)
+    right.suptitle("degrees of the voxel (bold) and its neighbours\ngreen: accepted; red: carved", fontsize=8)
     for k, axes in enumerate(right.subplots(1, 3)):
         _draw_slice(axes, neighbours, k)
     canvas: Any = FigureCanvasAgg(figure)  # matplotlib's canvases are not typed
@@ -124,16 +124,17 @@ def _draw_crop(axes: Axes, crop: Crop) -> None:
     """The surroundings of a voxel's box, each of its pixels framed in the colour of its kind."""
     u0, u1, v0, v1 = crop.box
     half = 0.5 * max(u1 - u0 + 1, v1 - v0 + 1)
-    reach = half + max(6.0, 1.5 * half)
+    reach = half + max(8.0, 2.0 * half)
     u, v = (u0 + u1) / 2, (v0 + v1) / 2
     axes.imshow(crop.image, interpolation="nearest")
     axes.set(xlim=(u - reach, u + reach), ylim=(v + reach, v - reach), xticks=[], yticks=[], facecolor="white")
     axes.add_patch(Rectangle((u0 - 0.5, v0 - 0.5), u1 - u0 + 1, v1 - v0 + 1, fc="none", ec="white", lw=2.5))
+    thin = min(1.5, 9.0 / reach)  # points, so that a pixel's own colour shows within its frame
     # One image instead of many frames where pixels are too small for them.
     if crop.kinds.size <= 400:
         for row, column in np.ndindex(crop.kinds.shape):
             color = _KINDS[PixelKind(int(crop.kinds[row, column]))][1]
-            axes.add_patch(Rectangle((u0 + column - 0.4, v0 + row - 0.4), 0.8, 0.8, fc="none", ec=color, lw=1.2))
+            axes.add_patch(Rectangle((u0 + column - 0.4, v0 + row - 0.4), 0.8, 0.8, fc="none", ec=color, lw=thin))
     else:
         tints = np.array([to_rgba(_KINDS[kind][1], 0.4) for kind in PixelKind])
         axes.imshow(tints[crop.kinds], extent=(u0 - 0.5, u1 + 0.5, v1 + 0.5, v0 - 0.5), interpolation="nearest")
@@ -179,10 +180,10 @@ def _draw_scale(axes: Axes, judgements: Sequence[tuple[float, float, float]]) ->
 
 
 def _draw_slice(axes: Axes, neighbours: NeighbourSlices, k: int) -> None:
-    """Nine voxels of one z, x to the right, y up."""
+    """Nine voxels of one k, i to the right, j up."""
     axes.set(xlim=(-0.5, 2.5), ylim=(-0.5, 2.5), aspect="equal")
     axes.axis("off")
-    axes.set_title(("z - 1", "z", "z + 1")[k], fontsize=8)
+    axes.set_title(("k - 1", "k", "k + 1")[k], fontsize=8)
     for i, j in np.ndindex(3, 3):
         label, degree = int(neighbours.labels[i, j, k]), neighbours.degrees[i, j, k]
         color = _LABEL_COLORS[Label(label)] if label >= 0 else "white"

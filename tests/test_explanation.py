@@ -168,7 +168,7 @@ def test_candidates_are_told_through_which_voxels_they_are_connected(method: str
             assert last.path[0] == explanation.voxel == tuple(index)
             assert last.connected == (label == Label.CONSISTENT)
             assert explanation.hysteresis().startswith("kept" if last.connected else "dropped")
-            assert "consistent voxel" in explanation.outcome()
+            assert "accepted voxel" in explanation.outcome()
             for a, b in pairwise(last.path):
                 assert max(abs(x - y) for x, y in zip(a, b, strict=True)) == 1
             assert all(hull.labels[voxel] == label for voxel in last.path)
