@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from enum import IntEnum
 from textwrap import fill
 from typing import Any
 
@@ -18,6 +17,8 @@ from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
 from recon3d.carving import Label
+from recon3d.carving.observing import Judgement
+from recon3d.evidence import PixelKind, ViewEvidence
 
 _COLUMNS = 6
 _LABEL_COLORS = {
@@ -29,40 +30,12 @@ _LABEL_COLORS = {
 }
 
 
-class PixelKind(IntEnum):
-    """What a pixel of a voxel's box was when the voxel was judged."""
-
-    BACKGROUND = 0
-    """Outside the silhouette."""
-    FOREGROUND = 1
-    """May show the object; nobody asked it about the voxel."""
-    TAKEN = 2
-    """Foreground that showed something else by then: claimed before, or seeing another voxel."""
-    VOTED = 3
-    """Foreground that showed the voxel."""
-
-
 _KINDS = {
     PixelKind.VOTED: ("voted", "#00d000"),
     PixelKind.TAKEN: ("shows something else", "#ff9000"),
     PixelKind.FOREGROUND: ("foreground, not asked", "#b0b0b0"),
     PixelKind.BACKGROUND: ("background", "#3080ff"),
 }
-
-
-@dataclass(frozen=True)
-class Crop:
-    """A view's photograph and the voxel's box in it."""
-
-    image: NDArray[np.uint8]
-    """(height, width, 3) RGB, whole."""
-    box: tuple[int, int, int, int]
-    """u0, u1, v0, v1, inclusive."""
-    kinds: NDArray[np.uint8]
-    """(rows, columns) ``PixelKind`` of the pixels in the box."""
-    caption: str
-    warns: bool
-    """Whether the view's silhouette excludes the voxel."""
 
 
 @dataclass(frozen=True)
@@ -79,28 +52,29 @@ class NeighbourSlices:
 
 def draw_explanation(
     title: str,
-    crops: Sequence[Crop],
-    luminances: Sequence[tuple[str, NDArray[np.uint8], NDArray[np.int64]]],
-    judgements: Sequence[tuple[float, float, float]],
+    views: Sequence[ViewEvidence],
+    judgements: Sequence[Judgement],
     neighbours: NeighbourSlices,
 ) -> NDArray[np.uint8]:
     """RGB picture of everything.
 
     Parameters
     ----------
-    luminances : name, colours (n, 3) and luminances (n,) of the pixels that voted, view by view.
-    judgements : degree, low and high threshold of every judgement, the last being the decisive one.
+    views : those that see the voxel.
+    judgements : all of them, the last being the decisive one.
     """
-    rows = -(-len(crops) // _COLUMNS)
-    columns = max(-(-len(crops) // max(rows, 1)), 4)
+    voting = [view for view in views if view.count(PixelKind.VOTED)]
+    rows = -(-len(views) // _COLUMNS)
+    columns = max(-(-len(views) // max(rows, 1)), 4)
     figure = Figure(figsize=(2.0 * columns, 0.9 + 2.35 * rows + 2.9), layout="constrained", dpi=100)
     figure.suptitle(fill(title, 22 * columns), fontsize=11, x=0.01, ha="left")
     upper, lower = np.asarray(figure.subfigures(2, 1, height_ratios=(max(2.35 * rows, 0.4), 2.9)))
-    for cell, crop in zip(upper.subplots(max(rows, 1), columns, squeeze=False).flat, crops, strict=False):
-        _draw_crop(cell, crop)
+    shown = voting + [view for view in views if not view.count(PixelKind.VOTED)]
+    for cell, view in zip(upper.subplots(max(rows, 1), columns, squeeze=False).flat, shown, strict=False):
+        _draw_crop(cell, view)
     for cell in [axes for axes in upper.axes if not axes.images]:
         cell.axis("off")
-    present = {kind for crop in crops for kind in np.unique(crop.kinds)}
+    present = {kind for view in views for kind in np.unique(view.kinds)}
     handles = [
         Line2D([], [], marker="s", ls="", mfc="none", mec=color, mew=2, label=name)
         for kind, (name, color) in _KINDS.items()
@@ -110,7 +84,7 @@ def draw_explanation(
         upper.legend(handles=handles, loc="outside lower left", ncols=len(_KINDS), fontsize=8, frameon=False)
     left, right = np.asarray(lower.subfigures(1, 2))
     pixels, scale = left.subplots(2, 1, height_ratios=(3, 1))
-    _draw_luminances(pixels, [entry for entry in luminances if len(entry[2])])
+    _draw_luminances(pixels, voting)
     _draw_scale(scale, judgements)
     right.suptitle("degrees of the voxel (bold) and its neighbours\ngreen: accepted; red: carved", fontsize=8)
     for k, axes in enumerate(right.subplots(1, 3)):
@@ -120,56 +94,59 @@ def draw_explanation(
     return np.asarray(canvas.buffer_rgba())[..., :3].copy()
 
 
-def _draw_crop(axes: Axes, crop: Crop) -> None:
+def _draw_crop(axes: Axes, view: ViewEvidence) -> None:
     """The surroundings of a voxel's box, each of its pixels framed in the colour of its kind."""
-    u0, u1, v0, v1 = crop.box
+    u0, u1, v0, v1 = view.box
     half = 0.5 * max(u1 - u0 + 1, v1 - v0 + 1)
     reach = half + max(8.0, 2.0 * half)
     u, v = (u0 + u1) / 2, (v0 + v1) / 2
-    axes.imshow(crop.image, interpolation="nearest")
+    axes.imshow(view.image, interpolation="nearest")
     axes.set(xlim=(u - reach, u + reach), ylim=(v + reach, v - reach), xticks=[], yticks=[], facecolor="white")
     axes.add_patch(Rectangle((u0 - 0.5, v0 - 0.5), u1 - u0 + 1, v1 - v0 + 1, fc="none", ec="white", lw=2.5))
     thin = min(1.5, 9.0 / reach)  # points, so that a pixel's own colour shows within its frame
     # One image instead of many frames where pixels are too small for them.
-    if crop.kinds.size <= 400:
-        for row, column in np.ndindex(crop.kinds.shape):
-            color = _KINDS[PixelKind(int(crop.kinds[row, column]))][1]
+    if view.kinds.size <= 400:
+        for row, column in np.ndindex(view.kinds.shape):
+            color = _KINDS[PixelKind(int(view.kinds[row, column]))][1]
             axes.add_patch(Rectangle((u0 + column - 0.4, v0 + row - 0.4), 0.8, 0.8, fc="none", ec=color, lw=thin))
     else:
         tints = np.array([to_rgba(_KINDS[kind][1], 0.4) for kind in PixelKind])
-        axes.imshow(tints[crop.kinds], extent=(u0 - 0.5, u1 + 0.5, v1 + 0.5, v0 - 0.5), interpolation="nearest")
+        axes.imshow(tints[view.kinds], extent=(u0 - 0.5, u1 + 0.5, v1 + 0.5, v0 - 0.5), interpolation="nearest")
         axes.set(xlim=(u - reach, u + reach), ylim=(v + reach, v - reach))
-    axes.set_title(crop.caption, fontsize=8, color="#c02000" if crop.warns else "black")
+    voted, taken = view.count(PixelKind.VOTED), view.count(PixelKind.TAKEN)
+    told = "excludes it" if view.excludes else f"{voted} of {view.kinds.size} voted" if voted + taken else ""
+    axes.set_title(f"{view.name}\n{told}", fontsize=8, color="#c02000" if view.excludes else "black")
 
 
-def _draw_luminances(axes: Axes, entries: Sequence[tuple[str, NDArray[np.uint8], NDArray[np.int64]]]) -> None:
+def _draw_luminances(axes: Axes, views: Sequence[ViewEvidence]) -> None:
     """Every voting pixel at its luminance, in its own colour, a line for each view."""
-    if not entries:
+    if not views:
         axes.axis("off")
         axes.text(0.5, 0.5, "no pixel voted", ha="center", va="center", fontsize=9, transform=axes.transAxes)
         return
-    for row, (_, colors, values) in enumerate(entries):
-        axes.scatter(values, np.full(len(values), row), c=colors / 255, edgecolors="#777777", linewidths=0.5, s=34)
-    axes.set(xlim=(-4, 259), ylim=(len(entries) - 0.4, -0.6))
-    axes.set_yticks(range(len(entries)), [name for name, _, _ in entries])
+    for row, view in enumerate(views):
+        values, colors = view.luminances, view.colors / 255
+        axes.scatter(values, np.full(len(values), row), c=colors, edgecolors="#777777", linewidths=0.5, s=34)
+    axes.set(xlim=(-4, 259), ylim=(len(views) - 0.4, -0.6))
+    axes.set_yticks(range(len(views)), [view.name for view in views])
     axes.tick_params(labelsize=7)
     axes.set_xlabel("luminance of the pixels that voted", fontsize=8)
     axes.grid(axis="y", color="#eeeeee")
     axes.set_axisbelow(True)
 
 
-def _draw_scale(axes: Axes, judgements: Sequence[tuple[float, float, float]]) -> None:
+def _draw_scale(axes: Axes, judgements: Sequence[Judgement]) -> None:
     """Degrees between 0 and 1 against the thresholds."""
     if not judgements:
         axes.axis("off")
         return
-    degree, low, high = judgements[-1]
+    degree, low, high = judgements[-1].degree, judgements[-1].low, judgements[-1].high
     zones = ((0.0, low, Label.INCONSISTENT), (high, 1.0, Label.CONSISTENT))
     for start, end, label in zones:
         axes.axvspan(start, end, color=_LABEL_COLORS[label], lw=0)
     axes.axvspan(low, high, color="#ffe9a0", lw=0)
-    for earlier, _, _ in judgements[:-1]:
-        axes.axvline(earlier, color="#999999", lw=1, ls=":")
+    for earlier in judgements[:-1]:
+        axes.axvline(earlier.degree, color="#999999", lw=1, ls=":")
     axes.axvline(degree, color="black", lw=2.5)
     axes.set(xlim=(0, 1), ylim=(0, 1), yticks=[])
     axes.set_xticks([0, low, high, 1] if high - low > 0.1 else [0, (low + high) / 2, 1])

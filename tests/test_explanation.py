@@ -31,8 +31,8 @@ from recon3d import Explanation, Label, Scene, Settings, cli, explain
 from recon3d.carving import METHODS, sweep_direction
 from recon3d.carving.observing import CANDIDATE, path_to_consistent
 from recon3d.carving.voxel_coloring import neighbour_offsets
-from recon3d.explanation import voxels_on_ray
-from recon3d.explanation_figure import PixelKind
+from recon3d.evidence import PixelKind
+from recon3d.pointing import voxels_on_ray
 from recon3d.scene import bounds_corners, make_bounds
 
 OBSERVED = [name for name, method in METHODS.items() if method.uses_test]
@@ -204,7 +204,7 @@ def test_every_outcome_says_what_it_is() -> None:
     settings = Settings(voxel_size=0.5, method="voxel-coloring")
     wide_hull = recon3d.reconstruct(wide, settings).hull
     unseen = wide_hull.volume.origin + 0.5 * (np.argwhere(wide_hull.labels == Label.UNSEEN)[0] + 0.5)
-    assert explain(wide, settings, at=unseen).outcome() == "unseen: no image shows it, so nothing is known of it"
+    assert explain(wide, settings, at=unseen).outcome() == "unseen: no image shows it, or a camera stands there"
 
 
 def test_the_lines_count_the_pixels() -> None:

@@ -117,3 +117,8 @@ def _way_back(end: Voxel, before: dict[Voxel, Voxel | None]) -> tuple[Voxel, ...
         path.append(at)
         at = before[at]
     return tuple(reversed(path))
+
+
+def voxel_text(voxel: Voxel) -> str:
+    """A voxel's index as text."""
+    return f"({', '.join(map(str, voxel))})"
