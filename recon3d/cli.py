@@ -12,7 +12,7 @@ from typing import Annotated, Any
 import typer
 
 from recon3d._version import __version__
-from recon3d.errors import DataError, Recon3dError
+from recon3d.errors import Recon3dError
 from recon3d.terminal import (
     beside,
     keywords,
@@ -265,12 +265,8 @@ def render(
 
     mesh = read_mesh(mesh_of(result))
     folder = writable(output or beside(result, "renders"))
-    record = record_of(result) if scene is None else None
-    if scene is None and (record is None or record["source"] is None):
-        raise DataError(
-            f"{result}: no record says which scene this was made of, so the cameras are not known; give --scene"
-        )
-    loaded = recorded_scene(result, record) if scene is None else load(scene, None, "none")
+    hint = ", so the cameras are not known; give --scene"
+    loaded = load(scene, None, "none") if scene else recorded_scene(result, record_of(result), hint=hint)
     with progress() as report:
         report("rendering", 0, 1)
         written = save_pictures(mesh, loaded, folder, every_view=True)

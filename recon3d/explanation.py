@@ -153,7 +153,8 @@ class Explanation(Summarised):
         elif not np.isnan(self.hull.degree[self.voxel]):
             rows["degree"] = f"{self.hull.degree[self.voxel]:.4f}, views {self.hull.n_views[self.voxel]}"
         if self.hull.distance is not None:
-            rows["depth (voxels)"] = f"{self.hull.distance[self.voxel] / volume.voxel_size:.2f} inside the surface"
+            depth = float(self.hull.distance[self.voxel]) / volume.voxel_size
+            rows["distance"] = f"{abs(depth):.2f} voxels {'inside' if depth > 0 else 'outside'}"
         if self.settings.method in _UNKNOWN:
             rows["not known"] = _UNKNOWN[self.settings.method]
         else:

@@ -66,9 +66,10 @@ def draw_explanation(
     voting = [view for view in views if view.count(PixelKind.VOTED)]
     rows = -(-len(views) // _COLUMNS)
     columns = max(-(-len(views) // max(rows, 1)), 4)
-    figure = Figure(figsize=(2.0 * columns, 0.9 + 2.35 * rows + 2.9), layout="constrained", dpi=100)
+    heights = (max(2.35 * rows, 0.4), max(2.9, 1.4 + 0.14 * len(voting)))  # inches
+    figure = Figure(figsize=(2.0 * columns, 0.9 + sum(heights)), layout="constrained", dpi=100)
     figure.suptitle(fill(title, 22 * columns), fontsize=11, x=0.01, ha="left")
-    upper, lower = np.asarray(figure.subfigures(2, 1, height_ratios=(max(2.35 * rows, 0.4), 2.9)))
+    upper, lower = np.asarray(figure.subfigures(2, 1, height_ratios=heights))
     shown = voting + [view for view in views if not view.count(PixelKind.VOTED)]
     for cell, view in zip(upper.subplots(max(rows, 1), columns, squeeze=False).flat, shown, strict=False):
         _draw_crop(cell, view)
@@ -141,17 +142,16 @@ def _draw_scale(axes: Axes, judgements: Sequence[Judgement]) -> None:
         axes.axis("off")
         return
     degree, low, high = judgements[-1].degree, judgements[-1].low, judgements[-1].high
-    zones = ((0.0, low, Label.INCONSISTENT), (high, 1.0, Label.CONSISTENT))
-    for start, end, label in zones:
-        axes.axvspan(start, end, color=_LABEL_COLORS[label], lw=0)
-    axes.axvspan(low, high, color="#ffe9a0", lw=0)
+    carved, candidate, consistent = _LABEL_COLORS[Label.INCONSISTENT], "#ffe9a0", _LABEL_COLORS[Label.CONSISTENT]
+    for start, end, color in ((0.0, low, carved), (low, high, candidate), (high, 1.0, consistent)):
+        axes.axvspan(start, end, color=color, lw=0)
     for earlier in judgements[:-1]:
         axes.axvline(earlier.degree, color="#999999", lw=1, ls=":")
     axes.axvline(degree, color="black", lw=2.5)
     axes.set(xlim=(0, 1), ylim=(0, 1), yticks=[])
-    axes.set_xticks([0, low, high, 1] if high - low > 0.1 else [0, (low + high) / 2, 1])
-    text = f"{low:.3f}" if low == high else f"{low:.3f} to {high:.3f}"
-    axes.set_xticklabels(["0", f"{low:.3f}", f"{high:.3f}", "1"] if high - low > 0.1 else ["0", text, "1"])
+    both = f"{low:.3f}" if low == high else f"{low:.3f} to {high:.3f}"
+    ticks = {low: f"{low:.3f}", high: f"{high:.3f}"} if high - low > 0.1 else {(low + high) / 2: both}
+    axes.set_xticks([0, *ticks, 1], ["0", *ticks.values(), "1"])
     axes.tick_params(labelsize=7)
     axes.set_xlabel(f"degree {degree:.3f} (line): carved, candidate, consistent", fontsize=8)
 

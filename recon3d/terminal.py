@@ -135,12 +135,12 @@ def record_of(result: Path) -> dict[str, Any] | None:
         raise DataError(f"{file}: expected the record of a run, got something else ({error!r})") from None
 
 
-def recorded_scene(result: Path, record: dict[str, Any] | None, *, silhouettes: str = "none") -> Scene:
-    """The scene that a result was made of, with the views that were used."""
+def recorded_scene(result: Path, record: dict[str, Any] | None, *, silhouettes: str = "none", hint: str = "") -> Scene:
+    """The scene that a result was made of, with the views that were used; a hint ends the error that none is known."""
     from recon3d.datasets import SCENES
 
     if record is None or record["source"] is None:
-        raise DataError(f"{result}: no record says which scene this was made of")
+        raise DataError(f"{result}: no record says which scene this was made of{hint}")
     box = None if record["source"] in SCENES else ",".join(str(x) for corner in record["bounds"] for x in corner)
     return load(record["source"], box, silhouettes, record["mm_per_unit"]).subset(record["views"])
 

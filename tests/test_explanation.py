@@ -245,6 +245,19 @@ def test_silhouettes_exclude_by_the_voxels_centre_where_the_method_does(method: 
             assert bool(evidence.excludes) or around.any() or not around.size
 
 
+def test_a_view_without_silhouette_excludes_nothing() -> None:
+    views = world().views
+    scene = replace(world(), views=(replace(views[0], silhouette=None), *views[1:]))
+    hull = result("visual-hull").hull
+    for index in some_voxels(hull, Label.BACKGROUND, 4):
+        place = hull.volume.origin + hull.volume.voxel_size * (index + 0.5)
+        told = explain(scene, settings_of("visual-hull"), at=place).views
+        assert not told[0].excludes
+        assert [view.excludes for view in told[1:]] == [
+            view.excludes for view in explained("visual-hull", index).views[1:]
+        ]
+
+
 def test_a_pixel_means_the_first_accepted_voxel_on_its_ray() -> None:
     hull = result("voxel-coloring").hull
     items = brute_force_items(world(), hull.volume, hull.volume.occupied)

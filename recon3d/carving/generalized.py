@@ -144,7 +144,7 @@ class _DenseState:
         occupied: NDArray[np.bool_],
         buffer: ItemBuffer,
         connectivity: Connectivity,
-        observer: Observer | None = None,
+        observer: Observer | None,
     ) -> None:
         self.hull, self.occupied, self.buffer, self.observer = hull, occupied, buffer, observer
         self.patches = buffer.patches
@@ -175,9 +175,8 @@ class _DenseState:
         visible = self.buffer.visible()
         if self.observer:
             labels = self.hull.labels.copy()
-            labels.ravel()[visible] = np.where(
-                self.consistent[visible], np.uint8(Label.CONSISTENT), np.uint8(CANDIDATE)
-            )
+            labels.ravel()[visible] = CANDIDATE
+            labels.ravel()[visible[self.consistent[visible]]] = Label.CONSISTENT
             self.observer.resolving(labels)
         surface = np.zeros(self.occupied.shape, np.bool_)
         surface.ravel()[visible] = True
