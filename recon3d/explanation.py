@@ -28,7 +28,6 @@ _TAKEN = {
     "space-carving": "not free in their sweep",
 }
 _UNKNOWN = {
-    "visual-hull": "nothing: the silhouettes alone decide",
     "vote-carving": "which depth maps voted: all votes around a voxel are blurred into one distance before they count",
     "probabilistic-space-carving": "one deciding moment: the degree is the voxel's probability after the last round, "
     "and all voxels change each other's",
@@ -157,7 +156,7 @@ class Explanation(Summarised):
             rows["distance"] = f"{abs(depth):.2f} voxels {'inside' if depth > 0 else 'outside'}"
         if self.settings.method in _UNKNOWN:
             rows["not known"] = _UNKNOWN[self.settings.method]
-        else:
+        if self.settings.test:
             rows["test"] = repr(self.settings.test)
         rows["neighbours"] = self.neighbours()
         return rows | {f"view {view.name}": self.describe(view) for view in self.views}
