@@ -35,6 +35,7 @@ from .errors import (
     VolumeTooLargeError,
 )
 from .evaluation import Evaluation, error_map, evaluate, triangles_near
+from .explanation import Explanation, explain
 from .figures import plot_evaluation, save_evaluation, show_mesh
 from .io import (
     open_scene,
@@ -77,6 +78,7 @@ __all__ = [
     "DataError",
     "EmptyReconstructionError",
     "Evaluation",
+    "Explanation",
     "FuzzyAdaptiveHysteresis",
     "Hysteresis",
     "Label",
@@ -105,6 +107,7 @@ __all__ = [
     "error_map",
     "evaluate",
     "evaluate_files",
+    "explain",
     "fine_generalized_voxel_coloring",
     "fine_visual_hull",
     "generalized_voxel_coloring",

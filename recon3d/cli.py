@@ -12,16 +12,20 @@ from typing import Annotated, Any
 import typer
 
 from recon3d._version import __version__
-from recon3d.errors import DataError, Recon3dError
+from recon3d.errors import Recon3dError
 from recon3d.terminal import (
     beside,
     keywords,
     load,
     make_test,
     mesh_of,
+    numbers_of,
     photograph,
+    pixel_of,
     progress,
     record_of,
+    recorded_scene,
+    recorded_settings,
     run,
     save,
     say,
@@ -335,27 +339,54 @@ def render(
     output: OutputOption = None,
 ) -> None:
     """Render a result from its input cameras, beside the photographs, and from all around."""
-    from recon3d.datasets import SCENES
     from recon3d.io import read_mesh
     from recon3d.pipeline import save_pictures
 
     mesh = read_mesh(mesh_of(result))
     folder = writable(output or beside(result, "renders"))
-    record = record_of(result) if scene is None else None
-    if scene is None and (record is None or record["source"] is None):
-        raise DataError(
-            f"{result}: no record says which scene this was made of, so the cameras are not known; give --scene"
-        )
-    if record:
-        box = None if record["source"] in SCENES else ",".join(str(x) for corner in record["bounds"] for x in corner)
-        loaded = load(record["source"], box, "none", record["mm_per_unit"]).subset(record["views"])
-    else:
-        loaded = load(str(scene), None, "none")
+    hint = ", so the cameras are not known; give --scene"
+    loaded = load(scene, None, "none") if scene else recorded_scene(result, record_of(result), hint=hint)
     with progress() as report:
         report("rendering", 0, 1)
         written = save_pictures(mesh, loaded, folder, every_view=True)
         report("rendering", 1, 1)
     say(written)
+
+
+@app.command()
+def explain(
+    result: Annotated[Path, typer.Argument(metavar="RESULT", help="Folder of a result.")],
+    at: Annotated[str | None, typer.Option(metavar="X,Y,Z", help="A place in the voxel, world units.")] = None,
+    pixel: Annotated[
+        str | None,
+        typer.Option(
+            metavar="VIEW,U,V",
+            help="The surface that the pixel shows; where there is none, what came nearest to it on the ray.",
+        ),
+    ] = None,
+    output: OutputOption = None,
+) -> None:
+    """Say why a voxel was carved or kept: carve once more as recorded, and draw what decided."""
+    from recon3d.explanation import explain as explain_voxel
+    from recon3d.io.files import write_image
+
+    place, clicked = numbers_of("--at", at, "three numbers X,Y,Z"), pixel_of(pixel)
+    if (place is None) == (clicked is None):
+        raise ValueError("expected --at X,Y,Z or --pixel VIEW,U,V, one of them")
+    record = record_of(result)
+    settings = recorded_settings(result, record)
+    scene = recorded_scene(result, record, silhouettes=record["silhouettes"] if record else "auto")
+    folder = writable(output or beside(result, "explanations"))
+    with progress() as report:
+        report("carving", 0, 1)
+        found = explain_voxel(scene, settings, at=place, pixel=clicked)
+        report("carving", 1, 1)
+    if record and record["voxels"] != found.hull.counts():
+        warnings.warn(f"{result}: carved once more, other voxels are left than recorded; data or program have changed",
+                      stacklevel=1)  # fmt: skip
+    name = "voxel_" + "_".join(map(str, found.voxel)) + ".png"
+    say(found.summary())
+    say({"picture": write_image(folder / name, found.picture())})
 
 
 def main() -> None:

@@ -149,13 +149,7 @@ def reconstruct(
         scene = choose_views(scene, settings)
     with _timed(timings, "carving"):
         volume = CarvingVolume.enclosing(scene.bounds, voxel_size=settings.voxel_size, n_voxels=settings.n_voxels)
-        hull = METHODS[settings.method].carve(
-            scene,
-            volume,
-            settings.test,
-            progress=lambda done, total: report("carving", done, total),
-            **settings.method_options,
-        )
+        hull = carve(scene, volume, settings, progress=lambda done, total: report("carving", done, total))
     with _timed(timings, "surface"):
         report("surface", 0, 2)
         points = surface_points(hull.volume, solid=hull.solid)
@@ -183,6 +177,11 @@ def reconstruct(
             evaluation = evaluate(mesh, ground_truth, mm_per_unit=scene.mm_per_unit)
             report("evaluation", 1, 1)
     return Reconstruction(scene, settings, hull, points, mesh, timings, quality, evaluation)
+
+
+def carve(scene: Scene, volume: CarvingVolume, settings: Settings, **callbacks: Any) -> PhotoHull:
+    """Carve a volume with the method and test of resolved settings; callbacks such as ``progress`` go to the method."""
+    return METHODS[settings.method].carve(scene, volume, settings.test, **callbacks, **settings.method_options)
 
 
 def evaluate_files(

@@ -5,15 +5,18 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from functools import partial
-from inspect import Parameter, signature
+from inspect import Parameter, isfunction, signature
 from typing import Any, Literal
 
 import numpy as np
 
 from recon3d.carving import METHODS, largest_admissible_views, spread_views
-from recon3d.consistency import ConsistencyTest, FuzzyAdaptiveHysteresis
+from recon3d.consistency import TESTS, ConsistencyTest, FuzzyAdaptiveHysteresis, Hysteresis, load_test
+from recon3d.consistency.loading import LoadedTest
+from recon3d.errors import DataError
 from recon3d.scene import Scene
 
+_CALLBACKS = ("progress", "observer")  # keywords of methods that are no options
 _ACCEPTED = {int: (int, np.integer), float: (int, float, np.integer, np.floating), str: (str,)}
 
 
@@ -76,7 +79,7 @@ class Settings:
         if self.test is not None and not kind.uses_test:
             raise ValueError(f"{method} uses no photo-consistency test, got {self.test!r}")
         parameters = signature(kind.carve).parameters.values()
-        options = [p.name for p in parameters if p.kind is Parameter.KEYWORD_ONLY and p.name != "progress"]
+        options = [p.name for p in parameters if p.kind is Parameter.KEYWORD_ONLY and p.name not in _CALLBACKS]
         unknown = [name for name in self.method_options if name not in options]
         if unknown:
             raise ValueError(f"{method} has no option {', '.join(unknown)}; it has {', '.join(options)}")
@@ -91,22 +94,67 @@ class Settings:
         return replace(self, method=method, test=test)
 
     def record(self) -> dict[str, Any]:
-        """Every setting, for a JSON file; a test as its class and fields."""
+        """Every setting, for a JSON file; a test as its class, or module:name if it is a user's, and its parameters."""
         plain = {name: value for name, value in vars(self).items() if name != "test"}
         test = _record_of(self.test) if self.test else None
         return {**plain, "method_options": dict(self.method_options), "test": test}
 
+    @classmethod
+    def from_record(cls, record: Mapping[str, Any]) -> Settings:
+        """The settings of a record that was read from a JSON file.
+
+        Raises
+        ------
+        ValueError : a setting is not known or has no possible value.
+        DataError : the test cannot be made again: an object of a user's own that was given from Python.
+        """
+        unknown = set(record) - {parameter.name for parameter in fields(cls)}
+        if unknown:
+            raise ValueError(f"unknown settings {', '.join(sorted(unknown))}")
+        values: dict[str, Any] = {name: _restored(value) for name, value in record.items()}
+        return cls(**values)
+
 
 def _record_of(test: Any) -> dict[str, Any]:
-    """Class or function of a test and its parameters; a test inside a test likewise."""
+    """What a test is and its parameters; a test inside a test likewise."""
+    if isinstance(test, LoadedTest):
+        return {"class": test.path, **test.options}
     if isinstance(test, partial):
         return {**_record_of(test.func), **test.keywords}
     known = is_dataclass(test) and not isinstance(test, type)
     parameters = {parameter.name: getattr(test, parameter.name) for parameter in fields(test)} if known else {}
-    return {
-        "class": getattr(test, "__qualname__", type(test).__qualname__),
-        **{name: _record_of(value) if callable(value) else value for name, value in parameters.items()},
-    }
+    return {"class": _name_of(test), **{n: _record_of(v) if callable(v) else v for n, v in parameters.items()}}
+
+
+def _name_of(test: Any) -> str:
+    """Class of one of the package's tests; module:name of a user's that can be made again by it, else module.name."""
+    kind = test if isfunction(test) else type(test)
+    if kind in _KINDS.values():
+        return str(kind.__qualname__)
+    sign = ":" if isfunction(test) or is_dataclass(test) else "."
+    return f"{kind.__module__}{sign}{kind.__qualname__}"
+
+
+_KINDS: dict[str, Any] = {getattr(kind, "__qualname__", ""): kind for kind in (*TESTS.values(), Hysteresis)}
+
+
+def _restored(value: Any) -> Any:
+    """A parameter as it was before it went through JSON: a tuple, a test, or itself."""
+    if isinstance(value, list):
+        return tuple(value)
+    return _test_of(value) if isinstance(value, dict) and "class" in value else value
+
+
+def _test_of(record: Mapping[str, Any]) -> ConsistencyTest:
+    """The test that a record tells of."""
+    name = record["class"]
+    parameters = {key: _restored(value) for key, value in record.items() if key != "class"}
+    if name in _KINDS:
+        test: ConsistencyTest = _KINDS[name](**parameters)
+        return test
+    if ":" in name:
+        return load_test(name, **parameters)
+    raise DataError(f"the test {name} was given as an object: its parameters are not known, so it cannot be made again")
 
 
 def choose_views(scene: Scene, settings: Settings) -> Scene:

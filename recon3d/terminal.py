@@ -9,6 +9,7 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -37,16 +38,12 @@ def load(scene: str, bounds: str | None, silhouettes: str, mm_per_unit: float = 
         if bounds is not None or silhouettes not in ("auto", "none") or mm_per_unit != 1000.0:
             raise ValueError(f"{scene} is built in: it has its own bounds, silhouettes and unit")
         built_in = photograph(scene).scene
-        return without_silhouettes(built_in) if silhouettes == "none" else built_in
-    box = None
-    if bounds is not None:
-        try:
-            numbers = [float(number) for number in bounds.split(",")]
-        except ValueError:
-            numbers = []
-        if len(numbers) != 6:
-            raise ValueError(f"--bounds: expected six numbers X0,Y0,Z0,X1,Y1,Z1, got {bounds!r}")
-        box = make_bounds(numbers[:3], numbers[3:])
+        if silhouettes == "none":
+            bare = without_silhouettes(built_in)
+            return replace(bare, notes={**bare.notes, "silhouettes from": "none"})
+        return built_in
+    numbers = numbers_of("--bounds", bounds, "six numbers X0,Y0,Z0,X1,Y1,Z1")
+    box = make_bounds(numbers[:3], numbers[3:]) if numbers else None
     with progress() as report:
         report("reading", 0, 1)
         loaded = open_scene(scene, bounds=box, silhouettes=silhouettes, mm_per_unit=mm_per_unit)
@@ -140,15 +137,65 @@ def mesh_of(result: Path) -> Path:
 
 
 def record_of(result: Path) -> dict[str, Any] | None:
-    """What is recorded of the scene of a result's folder or file; None without a record."""
+    """What is recorded of the scene of a result's folder or file, and of what was done; None without a record."""
     file = (result if result.is_dir() else result.parent) / "record.json"
     if not file.is_file():
         return None
     try:
-        scene: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))["scene"]
-        return {name: scene[name] for name in ("views", "bounds", "mm_per_unit")} | {"source": scene.get("source")}
+        record: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+        scene = record["scene"]
+        return {name: scene[name] for name in ("views", "bounds", "mm_per_unit")} | {
+            "source": scene.get("source"),
+            "silhouettes": scene.get("silhouettes from", "auto"),
+            "settings": record.get("settings"),
+            "voxels": record.get("voxels"),
+        }
     except (ValueError, KeyError, TypeError) as error:
         raise DataError(f"{file}: expected the record of a run, got something else ({error!r})") from None
+
+
+def recorded_scene(result: Path, record: dict[str, Any] | None, *, silhouettes: str = "none", hint: str = "") -> Scene:
+    """The scene that a result was made of, with the views that were used; a hint ends the error that none is known."""
+    from recon3d.datasets import SCENES
+
+    if record is None or record["source"] is None:
+        raise DataError(f"{result}: no record says which scene this was made of{hint}")
+    box = None if record["source"] in SCENES else ",".join(str(x) for corner in record["bounds"] for x in corner)
+    return load(record["source"], box, silhouettes, record["mm_per_unit"]).subset(record["views"])
+
+
+def recorded_settings(result: Path, record: dict[str, Any] | None) -> Settings:
+    """The settings that a result was made with, the same test among them."""
+    from recon3d.settings import Settings
+
+    if not result.exists() or record is None or record["settings"] is None:
+        raise DataError(f"{result}: expected the folder of a result, with a record.json that tells the settings")
+    try:
+        return Settings.from_record(record["settings"])
+    except (ValueError, KeyError, TypeError, DataError) as error:
+        raise DataError(f"{result}: the recorded settings cannot be used again: {error}") from None
+
+
+def numbers_of(option: str, text: str | None, form: str) -> list[float] | None:
+    """Numbers of an option, as many as its form "three numbers X,Y,Z" has; None where it was not given."""
+    if text is None:
+        return None
+    try:
+        numbers = [float(number) for number in text.split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) != form.count(",") + 1:
+        raise ValueError(f"{option}: expected {form}, got {text!r}")
+    return numbers
+
+
+def pixel_of(text: str | None) -> tuple[str, float, float] | None:
+    """View's name and pixel of an option like view01.png,80,60; None where it was not given."""
+    if text is None:
+        return None
+    name, _, numbers = text.partition(",")
+    place = numbers_of("--pixel", numbers, "a view's name and two numbers U,V") or []
+    return name, place[0], place[1]
 
 
 def writable(folder: Path) -> Path:

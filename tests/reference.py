@@ -28,6 +28,7 @@ class Result:
     degree: dict[Voxel, Fraction] = field(default_factory=dict)
     n_views: dict[Voxel, int] = field(default_factory=dict)
     colors: dict[Voxel, tuple[int, ...]] = field(default_factory=dict)
+    votes: dict[Voxel, list[list[Pixel]]] = field(default_factory=dict)
 
 
 def whole_numbers(low: float, high: float) -> range:
@@ -139,7 +140,7 @@ def color_voxels(
             ]
             n_views = sum(bool(pixels) for pixels in free)
             mu = membership(colors, intensity)
-            result.degree[voxel], result.n_views[voxel] = mu, n_views
+            result.degree[voxel], result.n_views[voxel], result.votes[voxel] = mu, n_views, free
             result.colors[voxel] = tuple(
                 floor(Fraction(sum(color[channel] for color in colors), len(colors)) + Fraction(1, 2))
                 for channel in range(3)

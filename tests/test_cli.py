@@ -39,7 +39,7 @@ def result(photographs: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_help_says_what_each_command_does() -> None:
     text = run("--help").stdout
-    for command in ("demo", "info", "reconstruct", "compare", "evaluate", "render"):
+    for command in ("demo", "info", "reconstruct", "compare", "evaluate", "render", "explain"):
         assert command in text
         assert "Usage" in run(command, "--help").stdout
 

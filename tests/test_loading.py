@@ -10,7 +10,9 @@ from pathlib import Path
 import pytest
 from batches import outcome, patches_of
 
-from recon3d.consistency import TESTS, Hysteresis, Minkowski, load_test
+from recon3d.consistency import TESTS, Hysteresis, Minkowski, Patches, Specular, Verdict, load_test
+from recon3d.errors import DataError
+from recon3d.io.files import write_json
 from recon3d.settings import Settings
 
 SOURCE = """
@@ -102,14 +104,78 @@ def test_the_tests_of_the_package_load_by_their_names() -> None:
 @pytest.mark.usefixtures("here")
 def test_the_record_of_a_run_names_a_users_own_test_and_its_options() -> None:
     for test, expected in (
-        (load_test("users_own_tests:AtLeast"), {"class": "AtLeast"}),
-        (load_test("users_own_tests:of_level"), {"class": "of_level"}),
-        (load_test("users_own_tests:of_level", level=0.8), {"class": "of_level", "level": 0.8}),
+        (load_test("users_own_tests:AtLeast"), {"class": "users_own_tests:AtLeast"}),
+        (load_test("users_own_tests:of_level"), {"class": "users_own_tests:of_level"}),
+        (load_test("users_own_tests:AtLeast", level=0.8), {"class": "users_own_tests:AtLeast", "level": 0.8}),
+        (load_test("users_own_tests:of_level", level=0.8), {"class": "users_own_tests:of_level", "level": 0.8}),
+        (load_test("users_own_tests:of_level").test, {"class": "users_own_tests:of_level"}),
+        (load_test("users_own_tests:of_level", level=0.8).test, {"class": "users_own_tests:of_level", "level": 0.8}),
+        (load_test("users_own_tests:AtLeast").test, {"class": "users_own_tests.AtLeast"}),
         (Hysteresis(load_test("users_own_tests:AtLeast")),
-         {"class": "Hysteresis", "test": {"class": "AtLeast"}, "margin": 0.05}),
+         {"class": "Hysteresis", "test": {"class": "users_own_tests:AtLeast"}, "margin": 0.05}),
         (Hysteresis(Minkowski("l1", 3.0), None),
          {"class": "Hysteresis", "test": {"class": "Minkowski", "norm": "l1", "threshold": 3.0}, "margin": None}),
     ):  # fmt: skip
         record = Settings(method="voxel-coloring", test=test).record()["test"]
         assert record == expected
         json.dumps(record)
+
+
+def through_json(settings: Settings, folder: Path) -> Settings:
+    record = json.loads(write_json(folder / "record.json", settings.record()).read_text())
+    return Settings.from_record(record)
+
+
+@pytest.mark.parametrize("name", TESTS)
+def test_settings_come_back_from_their_record(name: str, tmp_path: Path) -> None:
+    for test in (load_test(name), Hysteresis(load_test(name)), Hysteresis(load_test(name), None)):
+        settings = Settings(
+            method="voxel-coloring",
+            test=test,
+            method_options={"connectivity": 6},
+            views=("a*", "b"),
+            voxel_size=0.1,
+            smoothing=0,
+        )
+        assert through_json(settings, tmp_path) == settings
+    assert through_json(Settings(), tmp_path) == Settings()
+
+
+@pytest.mark.usefixtures("here")
+def test_parameters_of_tests_come_back_from_their_record(tmp_path: Path) -> None:
+    for test in (Minkowski("l1", 3.0), Specular(light=(250.0, 200.0, 100.0)), Hysteresis(Minkowski("linf"), 0.2)):
+        assert through_json(Settings(test=test), tmp_path).test == test
+
+
+@pytest.mark.usefixtures("here")
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [("AtLeast", {}), ("AtLeast", {"level": 0.8}), ("of_level", {"level": 0.8}), ("of_level", {}), ("ready", {})],
+)
+def test_a_users_own_test_comes_back_from_its_record(name: str, options: dict[str, object], tmp_path: Path) -> None:
+    loaded = load_test(f"users_own_tests:{name}", **options)
+    patches = patches_of([[[[1, 2, 3]]]])
+    for test in (loaded, Hysteresis(loaded)):
+        again = through_json(Settings(test=test), tmp_path).test
+        assert again is not None
+        assert again == test
+        assert outcome(again(patches)).tolist() == outcome(test(patches)).tolist()
+
+
+@pytest.mark.usefixtures("here")
+def test_a_loaded_test_still_asks_for_what_it_needs() -> None:
+    (Path.cwd() / "users_own_tests.py").write_text(SOURCE + "AtLeast.needs_directions, AtLeast.window_side = True, 7\n")
+    loaded = load_test("users_own_tests:AtLeast")
+    assert loaded.needs_directions is True  # type: ignore[attr-defined]
+    assert loaded.window_side == 7  # type: ignore[attr-defined]
+
+
+def test_what_a_record_does_not_tell_is_not_made_up() -> None:
+    class Opaque:
+        def __call__(self, patches: Patches) -> Verdict:
+            return Minkowski()(patches)
+
+    with pytest.raises(DataError, match=r"Opaque was given as an object: its parameters are not known"):
+        Settings.from_record(Settings(test=Opaque()).record())
+    with pytest.raises(ValueError, match="unknown settings colour"):
+        Settings.from_record({"colour": 1})

@@ -22,7 +22,7 @@ class Method(NamedTuple):
     one_sided: bool = False
     """Whether the views must satisfy the ordinal visibility constraint."""
     uses_test: bool = True
-    """Whether a photo-consistency test decides."""
+    """Whether a photo-consistency test decides; such a method takes an ``observer``, too."""
 
 
 METHODS: dict[str, Method] = {

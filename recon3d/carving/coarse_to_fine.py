@@ -11,7 +11,7 @@ from recon3d.carving.photo_hull import Progress
 from recon3d.carving.views import ViewArrays
 from recon3d.carving.visual_hull import nothing_inside, silhouette_outlines
 from recon3d.carving.voxel_coloring import Connectivity, neighbour_offsets
-from recon3d.consistency import ConsistencyTest, FuzzyAdaptiveHysteresis, Verdict
+from recon3d.consistency import ConsistencyTest, FuzzyAdaptiveHysteresis, Patches, Verdict
 from recon3d.kernels.bricks import BRICK, UNDECIDED, grow_support
 from recon3d.kernels.silhouettes import bound_bricks, sample_bricks
 from recon3d.scene import Scene
@@ -150,7 +150,7 @@ class _SparseState:
         indices = BRICK * self.bricks.bricks[brick] + np.stack(within, axis=1)
         return np.asarray(self.bricks.origin + self.voxel_size * (indices + 0.5))
 
-    def note(self, voxels: NDArray[np.int64], verdict: Verdict, n_views: NDArray[np.int64]) -> None:  # noqa: ARG002
+    def note(self, voxels: NDArray[np.int64], patches: Patches, verdict: Verdict) -> None:  # noqa: ARG002
         self.consistent[voxels] = verdict.degree >= verdict.high
 
     def unsupported(self) -> NDArray[np.int64]:

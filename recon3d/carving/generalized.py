@@ -10,6 +10,7 @@ from scipy.ndimage import generate_binary_structure, label
 
 from recon3d.carving.item_buffer import ItemBuffer
 from recon3d.carving.judging import judge
+from recon3d.carving.observing import CANDIDATE, Observer, Voxel
 from recon3d.carving.photo_hull import Label, PhotoHull, Progress
 from recon3d.carving.views import ViewArrays
 from recon3d.carving.visual_hull import color_visible, hull_distance
@@ -28,6 +29,7 @@ def generalized_voxel_coloring(
     connectivity: Connectivity = 26,
     max_rounds: int = 1000,
     progress: Progress | None = None,
+    observer: Observer | None = None,
 ) -> PhotoHull:
     """Carve what the views that see it do not agree on, until nothing changes.
 
@@ -43,6 +45,8 @@ def generalized_voxel_coloring(
     test : the photo-consistency test; the paper's fuzzy test when None.
     connectivity : neighbours that carry a candidate: 6 (faces), 18 (edges), 26 (corners).
     max_rounds : stop after so many rounds, with what is left then.
+    progress : called with the number of rounds done and the most there may be.
+    observer : told of every round as it is judged.
 
     Returns
     -------
@@ -68,7 +72,7 @@ def generalized_voxel_coloring(
     hull.labels[volume.occupied & ~occupied] = Label.BACKGROUND
     started = int(np.count_nonzero(occupied))
 
-    state = _DenseState(hull, occupied, ItemBuffer(views, volume), connectivity)
+    state = _DenseState(hull, occupied, ItemBuffer(views, volume), connectivity, observer)
     carve_to_agreement(state, test, max_rounds=max_rounds, progress=progress)
     if not occupied.any():
         raise all_carved(scene, test, started, hull.count_text())
@@ -92,7 +96,7 @@ class CarvingState(Protocol):
     def centers(self, voxels: NDArray[np.int64]) -> NDArray[np.float64]:
         """Middles (n, 3) of voxels in the world."""
 
-    def note(self, voxels: NDArray[np.int64], verdict: Verdict, n_views: NDArray[np.int64]) -> None:
+    def note(self, voxels: NDArray[np.int64], patches: Patches, verdict: Verdict) -> None:
         """Keep what the test says of voxels; a later verdict replaces an earlier one."""
 
     def unsupported(self) -> NDArray[np.int64]:
@@ -120,7 +124,7 @@ def _rejected(state: CarvingState, test: ConsistencyTest, voxels: NDArray[np.int
     """Test voxels on all pixels that see them now, note the verdicts, return those to carve."""
     patches = state.patches(voxels)
     verdict = judge(test, patches, state.centers(voxels), state.voxel_size, state.views)
-    state.note(voxels, verdict, patches.n_views)
+    state.note(voxels, patches, verdict)
     return voxels[(verdict.degree < verdict.high) & (verdict.degree <= verdict.low)]
 
 
@@ -135,9 +139,14 @@ class _DenseState:
     """Generalised voxel colouring of a dense volume."""
 
     def __init__(
-        self, hull: PhotoHull, occupied: NDArray[np.bool_], buffer: ItemBuffer, connectivity: Connectivity
+        self,
+        hull: PhotoHull,
+        occupied: NDArray[np.bool_],
+        buffer: ItemBuffer,
+        connectivity: Connectivity,
+        observer: Observer | None,
     ) -> None:
-        self.hull, self.occupied, self.buffer = hull, occupied, buffer
+        self.hull, self.occupied, self.buffer, self.observer = hull, occupied, buffer, observer
         self.patches = buffer.patches
         self.views, self.voxel_size = buffer.views, hull.volume.voxel_size
         self.consistent = np.zeros(occupied.size, np.bool_)
@@ -146,17 +155,29 @@ class _DenseState:
     def advance(self) -> NDArray[np.int64]:
         return self.buffer.advance(self.occupied)
 
-    def centers(self, voxels: NDArray[np.int64]) -> NDArray[np.float64]:
-        indices = np.stack(np.unravel_index(voxels, self.occupied.shape), axis=1)
-        return np.asarray(self.hull.volume.origin + self.voxel_size * (indices + 0.5))
+    def indices(self, voxels: NDArray[np.int64]) -> NDArray[np.int64]:
+        return np.stack(np.unravel_index(voxels, self.occupied.shape), axis=1)
 
-    def note(self, voxels: NDArray[np.int64], verdict: Verdict, n_views: NDArray[np.int64]) -> None:
+    def centers(self, voxels: NDArray[np.int64]) -> NDArray[np.float64]:
+        return np.asarray(self.hull.volume.origin + self.voxel_size * (self.indices(voxels) + 0.5))
+
+    def note(self, voxels: NDArray[np.int64], patches: Patches, verdict: Verdict) -> None:
         self.hull.degree.ravel()[voxels] = verdict.degree
-        self.hull.n_views.ravel()[voxels] = n_views
+        self.hull.n_views.ravel()[voxels] = patches.n_views
         self.consistent[voxels] = verdict.degree >= verdict.high
+        if self.observer:
+            self.observer.judged(self.indices(voxels), patches, verdict, self._seeing)
+
+    def _seeing(self, voxel: Voxel) -> NDArray[np.bool_]:
+        return np.asarray(self.buffer.items == np.ravel_multi_index(voxel, self.occupied.shape))
 
     def unsupported(self) -> NDArray[np.int64]:
         visible = self.buffer.visible()
+        if self.observer:
+            labels = self.hull.labels.copy()
+            labels.ravel()[visible] = CANDIDATE
+            labels.ravel()[visible[self.consistent[visible]]] = Label.CONSISTENT
+            self.observer.resolving(labels)
         surface = np.zeros(self.occupied.shape, np.bool_)
         surface.ravel()[visible] = True
         component, n = label(surface, self.structure)

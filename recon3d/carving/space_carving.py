@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recon3d.carving.judging import judge
+from recon3d.carving.observing import CANDIDATE, Observer, Voxel
 from recon3d.carving.photo_hull import Label, PhotoHull, Progress
 from recon3d.carving.views import ViewArrays
 from recon3d.carving.voxel_coloring import Connectivity, neighbour_offsets
@@ -19,7 +20,6 @@ from recon3d.kernels.sweeps import claim, gather_visible, visible_pixels
 from recon3d.scene import Scene
 from recon3d.volume import CarvingVolume
 
-_CANDIDATE = 255  # only while the hysteresis is being resolved
 _FREE = np.iinfo(np.int32).max  # a pixel that no layer has claimed
 _BATCH = 1 << 15  # voxels judged at once when no layer limits them
 _CLEARANCE = 3.0  # voxels around a camera that cannot hold matter
@@ -33,6 +33,7 @@ def space_carving(
     max_rounds: int = 50,
     connectivity: Connectivity = 26,
     progress: Progress | None = None,
+    observer: Observer | None = None,
 ) -> PhotoHull:
     """Carve the voxels on which the views that see them disagree, until all that is left is photo-consistent.
 
@@ -55,6 +56,7 @@ def space_carving(
     max_rounds : stop after so many rounds, whatever is left; what fails then is still dropped.
     connectivity : neighbours that carry a candidate: 6 (faces), 18 (edges), 26 (corners).
     progress : called with the number of sweeps done and of all that are allowed.
+    observer : told of every layer as it is judged.
 
     Returns
     -------
@@ -93,7 +95,7 @@ def space_carving(
     views.carve_background(occupied, volume)
     hull.labels[volume.occupied & ~occupied] = Label.BACKGROUND
     clear_around_cameras(occupied, scene, volume)
-    carving = _Carving(views, scene, hull, occupied, test)
+    carving = _Carving(views, scene, hull, occupied, test, observer)
     carving.drop_unseen()
 
     for n in range(max_rounds):
@@ -132,9 +134,15 @@ class _Carving:
     """What is left of the volume, and which layer of which sweep has claimed each pixel."""
 
     def __init__(
-        self, views: ViewArrays, scene: Scene, hull: PhotoHull, occupied: NDArray[np.bool_], test: ConsistencyTest
+        self,
+        views: ViewArrays,
+        scene: Scene,
+        hull: PhotoHull,
+        occupied: NDArray[np.bool_],
+        test: ConsistencyTest,
+        observer: Observer | None,
     ) -> None:
-        self.views, self.hull, self.occupied, self.test = views, hull, occupied, test
+        self.views, self.hull, self.occupied, self.test, self.observer = views, hull, occupied, test, observer
         self.shape = np.array(occupied.shape)
         self.sweep_of = np.where(views.free, _largest_components(scene, views.free.shape), np.int8(-1))
         self.first_layers = _first_layers(scene, hull.volume)
@@ -190,14 +198,16 @@ class _Carving:
             failed = _fails(verdict)
             hull.set_labels(shown[failed], Label.INCONSISTENT)
             hull.set_labels(shown[consistent], Label.CONSISTENT)
-            hull.set_labels(shown[~consistent & ~failed], _CANDIDATE)
+            hull.set_labels(shown[~consistent & ~failed], CANDIDATE)
             candidates.append(shown[~consistent & ~failed])
             means = np.empty((len(shown), 3), np.uint8)
             mean_colors(patches.colors, patches.starts, means)
             hull.volume.colors[tuple(shown.T)] = means
+        if self.observer:
+            self.observer.resolving(hull.labels)
         if candidates:
-            grow_consistent(hull.labels, np.concatenate(candidates), offsets, _CANDIDATE, int(Label.CONSISTENT))
-        hull.labels[hull.labels == _CANDIDATE] = Label.INCONSISTENT
+            grow_consistent(hull.labels, np.concatenate(candidates), offsets, CANDIDATE, int(Label.CONSISTENT))
+        hull.labels[hull.labels == CANDIDATE] = Label.INCONSISTENT
         carved = self.occupied & (hull.labels == Label.INCONSISTENT)
         self.occupied &= ~carved
         return int(np.count_nonzero(carved))
@@ -242,7 +252,18 @@ class _Carving:
         origin, size = self.hull.volume.origin, self.hull.volume.voxel_size
         verdict = judge(self.test, patches, origin + size * (voxels + 0.5), size, self.views)
         self.hull.record(voxels, verdict.degree, patches.n_views)
+        if self.observer:
+            self.observer.judged(voxels, patches, verdict, self._showing)
         return voxels, patches, verdict
+
+    def _showing(self, voxel: Voxel) -> NDArray[np.bool_]:
+        """(n_views, height, width) pixels that no layer before the voxel's has claimed in their sweep."""
+        place = np.array(voxel)
+        layers = np.stack([place, self.shape - 1 - place], axis=1).ravel()
+        # Pixels of no sweep have the number -1, which looks up some sweep's and is left out.
+        first = np.take_along_axis(self.first_layers, self.sweep_of.reshape(len(self.sweep_of), -1), axis=1)
+        seen = (first.reshape(self.sweep_of.shape) <= layers[self.sweep_of]) & (layers[self.sweep_of] <= self.claimed)
+        return np.asarray((self.sweep_of >= 0) & seen)
 
 
 def _fails(verdict: Verdict) -> NDArray[np.bool_]:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recon3d.carving.judging import judge
+from recon3d.carving.observing import CANDIDATE, Observer
 from recon3d.carving.photo_hull import Label, PhotoHull, Progress
 from recon3d.carving.views import ViewArrays
 from recon3d.carving.visibility import require_sweep_direction
@@ -24,8 +25,6 @@ from recon3d.volume import CarvingVolume
 Connectivity = Literal[6, 18, 26]
 Layering = Literal["slabs", "voxels"]
 
-_CANDIDATE = 255  # only while a layer is being resolved
-
 
 def voxel_coloring(
     scene: Scene,
@@ -35,6 +34,7 @@ def voxel_coloring(
     connectivity: Connectivity = 26,
     layering: Layering = "slabs",
     progress: Progress | None = None,
+    observer: Observer | None = None,
 ) -> PhotoHull:
     """Colour the voxels that the views agree on, visiting each once, from the cameras into the volume.
 
@@ -52,6 +52,7 @@ def voxel_coloring(
     layering : "slabs" as above, independent of the order inside a layer; "voxels" is the paper's literal reading in
         which every voxel sees the claims of every earlier one: depends on that order, and is slow.
     progress : called with the number of layers done and of all.
+    observer : told of every layer as it is judged.
 
     Returns
     -------
@@ -89,12 +90,16 @@ def voxel_coloring(
         patches = views.patches(boxes, counts[visible])
         verdict = judge(test, patches, volume.origin + volume.voxel_size * (shown + 0.5), volume.voxel_size, views)
         hull.record(shown, verdict.degree, patches.n_views)
+        if observer:
+            observer.judged(shown, patches, verdict, lambda _: views.free)
 
         consistent = verdict.degree >= verdict.high
         candidate = ~consistent & (verdict.degree > verdict.low)
         hull.set_labels(shown[consistent], Label.CONSISTENT)
-        hull.set_labels(shown[candidate], _CANDIDATE)
-        grow_consistent(hull.labels, shown[candidate], offsets, _CANDIDATE, int(Label.CONSISTENT))
+        hull.set_labels(shown[candidate], CANDIDATE)
+        if observer:
+            observer.resolving(hull.labels)
+        grow_consistent(hull.labels, shown[candidate], offsets, CANDIDATE, int(Label.CONSISTENT))
 
         accepted = hull.labels[tuple(shown.T)] == Label.CONSISTENT
         hull.set_labels(shown[~accepted], Label.INCONSISTENT)

@@ -14,7 +14,9 @@ from numpy.typing import ArrayLike, NDArray
 from recon3d.consistency.base import Patches, Verdict
 from recon3d.kernels.ragged import decile_ratios
 
-_LUMINANCE = np.array([[299, 587, 114]])  # thousandths, ITU-R BT.601
+LUMINANCE = np.array([299, 587, 114])
+"""Weights of red, green and blue in thousandths, ITU-R BT.601; the sum is rounded half up."""
+
 _CHANNELS = 1000 * np.eye(3, dtype=np.int64)
 
 
@@ -46,7 +48,7 @@ class _Membership:
     def membership(self, patches: Patches) -> NDArray[np.float64]:
         """mu(v) (n_voxels,) in [0, 1] (eq. 7)."""
         degree = np.ones(patches.n_voxels)
-        for weights in _LUMINANCE if self.intensity == "luminance" else _CHANNELS:
+        for weights in LUMINANCE[None] if self.intensity == "luminance" else _CHANNELS:
             decile_ratios(patches.colors, patches.starts, weights, self.trim, degree)
         return degree
 

@@ -5,15 +5,47 @@ from __future__ import annotations
 import importlib
 import sys
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 from functools import partial
 from inspect import isfunction, signature
 from pathlib import Path
 
-from recon3d.consistency.base import ConsistencyTest
+from recon3d.consistency.base import ConsistencyTest, Patches, Verdict
 
 
-def load_by_path(path: str, options: Mapping[str, object]) -> ConsistencyTest:
+@dataclass(frozen=True)
+class LoadedTest:
+    """A user's own test, and how to make it again."""
+
+    path: str
+    """Where it was found, as "module:name"."""
+    options: Mapping[str, object]
+    """What it was made with."""
+    test: ConsistencyTest = field(repr=False, compare=False)
+    """Judges."""
+
+    @property
+    def needs_directions(self) -> bool:
+        """Whether the test does."""
+        return bool(getattr(self.test, "needs_directions", False))
+
+    @property
+    def window_side(self) -> int:
+        """Of the windows that the test wants; 0: none."""
+        return int(getattr(self.test, "window_side", 0))
+
+    def __call__(self, patches: Patches) -> Verdict:
+        """The test's verdict."""
+        return self.test(patches)
+
+
+def load_by_path(path: str, options: Mapping[str, object]) -> LoadedTest:
     """The test of a path "module:name", made with the options; see ``load_test``."""
+    return LoadedTest(path, dict(options), _made(path, options))
+
+
+def _made(path: str, options: Mapping[str, object]) -> ConsistencyTest:
+    """The test itself."""
     module, _, name = path.partition(":")
     if not (module and name):
         raise ValueError(f"expected module:name, got {path!r}")

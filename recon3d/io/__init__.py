@@ -25,6 +25,8 @@ FORMATS: dict[str, Format] = {
     "middlebury": Format(is_middlebury, read_middlebury, "a folder with a *_par.txt (Middlebury)"),
 }
 
+_WORDS = ("auto", "segmented", "threshold", "none")  # for silhouettes; anything else is a folder
+
 
 def open_scene(path: Path | str, **options: Any) -> Scene:
     """Read a scene from a folder of calibrated photographs, whatever its format.
@@ -43,7 +45,9 @@ def open_scene(path: Path | str, **options: Any) -> Scene:
     for known in FORMATS.values():
         if known.recognises(path):
             scene = known.read(path, **options)
-            return replace(scene, notes={**scene.notes, "source": str(path.resolve())})
+            masks = str(options.get("silhouettes", "auto"))
+            masks = masks if masks in _WORDS or not Path(masks).is_dir() else str(Path(masks).resolve())
+            return replace(scene, notes={**scene.notes, "source": str(path.resolve()), "silhouettes from": masks})
     raise DataError(f"{path}: not a known scene; expected {' or '.join(known.sign for known in FORMATS.values())}")
 
 
