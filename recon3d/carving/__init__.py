@@ -11,7 +11,7 @@ from recon3d.carving.roxels import roxels
 from recon3d.carving.space_carving import space_carving
 from recon3d.carving.visibility import SweepDirection, largest_admissible_views, spread_views, sweep_direction
 from recon3d.carving.visual_hull import visual_hull
-from recon3d.carving.vote_carving import vote_carving
+from recon3d.carving.vote_carving import matching_neighbours, vote_carving
 from recon3d.carving.voxel_coloring import voxel_coloring
 
 
@@ -45,6 +45,7 @@ __all__ = [
     "fine_visual_hull",
     "generalized_voxel_coloring",
     "largest_admissible_views",
+    "matching_neighbours",
     "probabilistic_space_carving",
     "roxels",
     "space_carving",

@@ -22,7 +22,6 @@ from recon3d.volume import CarvingVolume
 MIN_DEVIATION = 2.0
 """Grey levels; a window with less contrast has nothing to match."""
 
-_NEIGHBOURS = 4
 _FINEST = 2.0  # pixel footprints; a window is twice as wide
 _NEAREST_ANGLE, _FARTHEST_ANGLE = 5.0, 60.0  # degrees between viewing directions that can be matched
 
@@ -111,25 +110,33 @@ def vote_carving(
         buffer = ItemBuffer(views, volume)
         buffer.advance(field > 0)
         depths, weights = matcher.depth_maps(buffer, settings)
-        field = _carve(field, volume, views, depths, weights, settings, resolution, truncation * resolution)
+        field = carve_by_depths(
+            field, volume, views, depths, weights, stride=settings.stride, resolution=resolution,
+            truncation=truncation * resolution, prior=settings.prior, margin=settings.margin,
+        )  # fmt: skip
         if progress:
             progress(n + 1, len(_ROUNDS))
 
-    occupied = field > 0
-    if not occupied.any():
+    if not (field > 0).any():
         raise EmptyReconstructionError(
             f"scene {scene.name}: the votes carved all {inside_hull.sum():,} voxels of the hull"
         )
+    labels = np.where(volume.occupied, np.where(inside_hull, Label.INCONSISTENT, Label.BACKGROUND), Label.UNSEEN)
+    return hull_of_field(field, labels, volume, views)
+
+
+def hull_of_field(
+    field: NDArray[np.float32], carved: NDArray[np.integer], volume: CarvingVolume, views: ViewArrays
+) -> PhotoHull:
+    """Hull of the voxels with a positive signed distance (nx, ny, nz), coloured; labels of the others are given."""
     hull = PhotoHull.untouched(volume, field.astype(np.float32))
-    hull.labels[volume.occupied] = Label.BACKGROUND
-    hull.labels[inside_hull] = Label.INCONSISTENT
-    hull.labels[occupied] = Label.HIDDEN
-    color_visible(hull, ItemBuffer(views, volume), occupied)
+    hull.labels[...] = np.where(field > 0, Label.HIDDEN, carved)
+    color_visible(hull, ItemBuffer(views, volume), field > 0)
     return hull
 
 
-def matching_neighbours(scene: Scene) -> list[list[int]]:
-    """For each view up to four others, the nearest first, seen from the bounds' centre at 5 to 60 degrees from it.
+def matching_neighbours(scene: Scene, most: int = 4) -> list[list[int]]:
+    """For each view at most so many others, the nearest first, seen from the bounds' centre 5 to 60 degrees from it.
 
     Views less than 5 degrees apart count as one.
 
@@ -145,7 +152,7 @@ def matching_neighbours(scene: Scene) -> list[list[int]]:
         others: list[int] = []
         for other in np.argsort(row, kind="stable"):
             apart = all(angles[other, known] >= _NEAREST_ANGLE for known in others)
-            if _NEAREST_ANGLE <= row[other] <= _FARTHEST_ANGLE and apart and len(others) < _NEIGHBOURS:
+            if _NEAREST_ANGLE <= row[other] <= _FARTHEST_ANGLE and apart and len(others) < most:
                 others.append(int(other))
         chosen.append(others)
     if not any(chosen):
@@ -203,22 +210,35 @@ class _Matcher:
         return np.where(agreements > 0, depths, 0), np.where(agreements > 0, weights, 0)
 
 
-def _carve(
+def carve_by_depths(
     field: NDArray[np.float32],
     volume: CarvingVolume,
     views: ViewArrays,
     depths: NDArray[np.float32],
     weights: NDArray[np.float32],
-    settings: _Round,
+    *,
+    stride: int,
     resolution: float,
     truncation: float,
+    prior: float,
+    margin: float = 0.0,
 ) -> NDArray[np.float32]:
-    """Signed distance field (nx, ny, nz) after the depth maps' votes; never larger than before but in filled holes."""
+    """Signed distance field (nx, ny, nz) after the depth maps' votes; never larger than before but in filled holes.
+
+    Parameters
+    ----------
+    depths, weights : (n_views, rows, columns) of every stride-th pixel along the optical axis, world units; a weight
+        of 0 marks pixels that do not vote.
+    resolution : width of the blur that joins votes, and unit of the margin; world units.
+    truncation : how far before and behind a depth it is evidence for the surface's exact place, world units.
+    prior : weight of the vote for solid that every voxel starts with.
+    margin : resolutions left in front of the surface found.
+    """
     occupied = field > 0
     voxels = np.argwhere(occupied)
     distance, support = np.zeros(len(voxels)), np.zeros(len(voxels))
     fuse_depths(
-        voxels, volume.origin, volume.voxel_size, views.projections, depths, weights, settings.stride, truncation,
+        voxels, volume.origin, volume.voxel_size, views.projections, depths, weights, stride, truncation,
         distance, support,
     )  # fmt: skip
     votes, weight = np.zeros(volume.shape, np.float32), np.zeros(volume.shape, np.float32)
@@ -226,8 +246,8 @@ def _carve(
     # Blurred together with their weights, so that one stray ray cannot bore a hole.
     blur = resolution / volume.voxel_size
     votes, weight = gaussian_filter(votes, blur), gaussian_filter(weight, blur)
-    judged = (votes + settings.prior * truncation) / (weight + settings.prior)
-    carved = np.where(occupied, np.minimum(field, judged + settings.margin * resolution), field)
+    judged = (votes + prior * truncation) / (weight + prior)
+    carved = np.where(occupied, np.minimum(field, judged + margin * resolution), field)
     # A cavity without an opening was seen by nobody.
     enclosed = binary_fill_holes(carved > 0) & (carved <= 0) & occupied
     carved[enclosed] = volume.voxel_size

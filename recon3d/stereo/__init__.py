@@ -1,0 +1,7 @@
+"""Dense matching inside the carved hull, and the surfaces made of it."""
+
+from recon3d.stereo.depth_maps import DepthMap, Matching
+from recon3d.stereo.fusion import Fusion, fuse
+from recon3d.stereo.sharpen import PASSES, Stages, sharpen, sharpen_hull
+
+__all__ = ["PASSES", "DepthMap", "Fusion", "Matching", "Stages", "fuse", "sharpen", "sharpen_hull"]
