@@ -14,6 +14,7 @@ from .carving import (
     vote_carving,
     voxel_coloring,
 )
+from .coloring import color_from_views
 from .consistency import (
     TESTS,
     ConsistencyTest,
@@ -40,9 +41,11 @@ from .io import (
     read_geometry,
     read_mesh,
     read_middlebury,
+    read_support,
     write_geometry,
     write_middlebury,
 )
+from .mending import Mending, drop_specks, mend_mesh
 from .pipeline import (
     Reconstruction,
     evaluate_files,
@@ -50,7 +53,15 @@ from .pipeline import (
     save_error_maps,
     save_pictures,
 )
-from .rendering import Renderer, Rendering, comparison_sheet, count_seeing_views, turntable, without_unseen
+from .rendering import (
+    Renderer,
+    Rendering,
+    comparison_sheet,
+    count_seeing_views,
+    seeing_views,
+    turntable,
+    without_unseen,
+)
 from .scene import Scene, View, make_bounds
 from .settings import Settings
 from .silhouettes import (
@@ -76,6 +87,7 @@ __all__ = [
     "FuzzyAdaptiveHysteresis",
     "Hysteresis",
     "Label",
+    "Mending",
     "Patches",
     "PhotoHull",
     "Recon3dError",
@@ -91,8 +103,10 @@ __all__ = [
     "View",
     "VisibilityError",
     "VolumeTooLargeError",
+    "color_from_views",
     "comparison_sheet",
     "count_seeing_views",
+    "drop_specks",
     "error_map",
     "evaluate",
     "evaluate_files",
@@ -103,6 +117,7 @@ __all__ = [
     "little_temple",
     "load_test",
     "make_bounds",
+    "mend_mesh",
     "mesh_sparse",
     "mesh_volume",
     "open_scene",
@@ -111,11 +126,13 @@ __all__ = [
     "read_geometry",
     "read_mesh",
     "read_middlebury",
+    "read_support",
     "reconstruct",
     "roxels",
     "save_error_maps",
     "save_evaluation",
     "save_pictures",
+    "seeing_views",
     "show_mesh",
     "space_carving",
     "surface_points",
