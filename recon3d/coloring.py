@@ -26,11 +26,11 @@ def color_from_views(
 ) -> tuple[o3d.geometry.TriangleMesh, NDArray[np.int64]]:
     """A mesh with the colours that the photographs agree on at its vertices, and how many views see each vertex.
 
-    Each view that sees a vertex (see ``seeing_views``) is sampled between its pixels. A view weighs by the square of
-    the cosine at which it looks and of its resolution there, and hardly where its pixel lies beside a jump of depth
-    or beside the silhouette, since what lies behind bleeds in there. Channel by channel the weighted median of the
-    views counts: a highlight, or a view that is mistaken, with less than half the weight cannot draw it away. Where
-    no view looks, colours flow in along the surface from the nearest that some view sees.
+    Each view that sees a vertex (see ``seeing_views``) is sampled between its pixels. A view weighs by the
+    number of pixels that it has for an area of the surface (cosine over footprint squared), and hardly where its pixel lies beside a jump of depth,
+    since what lies behind bleeds in there; a pixel in the background or beside it is not asked. Channel by channel the
+    weighted median of the views counts: a highlight, or a view that is mistaken, cannot draw it away from what the
+    others agree on. Where no view can be asked, colours flow in along the surface from where one can.
 
     Parameters
     ----------
@@ -39,11 +39,11 @@ def color_from_views(
     Returns
     -------
     mesh : a copy with vertex colours in [0, 1], and normals.
-    support : (n_vertices,) how many views see each vertex; 0 where the colour flowed in.
+    support : (n_vertices,) how many views see each vertex; where it is 0 the colour has flowed in.
 
     Raises
     ------
-    EmptyReconstructionError : no view sees any vertex.
+    EmptyReconstructionError : no view shows any vertex.
 
     References
     ----------
@@ -57,35 +57,37 @@ def color_from_views(
     points, normals = np.asarray(mesh.vertices), np.asarray(mesh.vertex_normals)
     views, caster = ViewArrays(scene), RayCaster(mesh)
     seen = seeing_views(mesh, scene, caster)
-    if not seen.any():
-        raise EmptyReconstructionError(f"scene {scene.name}: no view sees any of the surface, so it has no colours")
-    colors = np.zeros((len(points), 3))
+    colors = np.full((len(points), 3), np.nan)
     agreed_colors(
         points, normals, seen, views.projections, views.centers, views.focals, views.sizes, views.images,
-        _clean_pixels(caster, scene, views), _EDGE_WEIGHT, colors,
+        _trust(caster, scene, views), colors,
     )  # fmt: skip
-    support = seen.sum(axis=0)
-    _let_flow(colors, support > 0, points, np.asarray(mesh.triangles))
+    known = np.isfinite(colors[:, 0])
+    if not known.any():
+        raise EmptyReconstructionError(f"scene {scene.name}: no view shows any of the surface, so it has no colours")
+    _let_flow(colors, known, points, np.asarray(mesh.triangles))
     mesh.vertex_colors = o3d.utility.Vector3dVector(np.clip(colors / 255, 0, 1))
-    return mesh, support
+    return mesh, seen.sum(axis=0)
 
 
-def _clean_pixels(caster: RayCaster, scene: Scene, views: ViewArrays) -> NDArray[np.bool_]:
-    """(n_views, height, width) pixels two or more from a jump of depth, one or more inside the silhouette.
+def _trust(caster: RayCaster, scene: Scene, views: ViewArrays) -> NDArray[np.float32]:
+    """(n_views, height, width) weight of each pixel: 0 in and beside the background, little beside a jump of depth.
 
     Inverse depth is linear in the pixels of a plane, however steep, so its second difference tells jumps from slopes.
     """
-    clean = np.zeros_like(views.foreground)
-    second = np.array([[1.0, -2.0, 1.0]])
+    trust = np.zeros(views.foreground.shape, np.float32)
     window = np.ones((3, 3), np.uint8)
     for n, view in enumerate(scene.views):
         depth, _, _ = caster.first_hits(*pixel_rays(view.K, view.cam_from_world, view.width, view.height))
         inverse = 1 / depth
-        bend = np.maximum(*(np.abs(cv2.filter2D(inverse, -1, kernel)) for kernel in (second, second.T)))
+        bend = np.zeros_like(inverse)
+        bend[:, 1:-1] = np.abs(np.diff(inverse, 2, axis=1))
+        bend[1:-1] = np.maximum(bend[1:-1], np.abs(np.diff(inverse, 2, axis=0)))
         edge = bend > _JUMP / views.focals[n] * cv2.dilate(inverse, window)
-        edge |= ~views.foreground[n, : view.height, : view.width]
-        clean[n, : view.height, : view.width] = cv2.dilate(edge.astype(np.uint8), window) == 0
-    return clean
+        background = ~views.foreground[n, : view.height, : view.width]
+        beside, mixed = (cv2.dilate(mask.astype(np.uint8), window) > 0 for mask in (edge, background))
+        trust[n, : view.height, : view.width] = np.where(mixed, 0.0, np.where(beside, _EDGE_WEIGHT, 1.0))
+    return trust
 
 
 def _let_flow(

@@ -40,13 +40,13 @@ def agreed_colors(
     focals: NDArray[np.float64],
     sizes: NDArray[np.int64],
     images: NDArray[np.uint8],
-    clean: NDArray[np.bool_],
-    unclean_weight: float,
+    trust: NDArray[np.float32],
     colors: NDArray[np.float64],
 ) -> None:
     """Weighted median of the pixels (n_views, height, width, 3) at points (n, 3) that views see (n_views, n).
 
-    A pixel weighs (cosine to the normal / footprint)^2, less where it is not clean. Points unseen keep their colour.
+    A pixel weighs trust (n_views, height, width) times cosine to the normal over footprint squared: how many pixels an
+    area gets. Points that no pixel with any trust shows keep their colour.
     """
     n_points, n_views = len(points), len(images)
     for block in prange((n_points + _BLOCK - 1) // _BLOCK):
@@ -59,14 +59,15 @@ def agreed_colors(
                 if not seen[view, n]:
                     continue
                 u, v, depth = _project(projections[view], points[n])
+                trusted = trust[view, int(v + 0.5), int(u + 0.5)]
+                if trusted <= 0:
+                    continue
                 along = square = 0.0
                 for axis in range(3):
                     sight = centers[view, axis] - points[n, axis]
                     along += sight * normals[n, axis]
                     square += sight * sight
-                weights[count] = along * along / square * (focals[view] / depth) ** 2
-                if not clean[view, int(v + 0.5), int(u + 0.5)]:
-                    weights[count] *= unclean_weight
+                weights[count] = trusted * along / np.sqrt(square) * (focals[view] / depth) ** 2
                 for channel in range(3):
                     values[channel, count] = bilinear(images[view, :, :, channel], u, v, sizes[view, 0], sizes[view, 1])
                 count += 1
