@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import connected_components
 
 from recon3d.casting import RayCaster
 
-_GENERIC = np.array([0.5377, 0.3188, 0.7805])  # a direction that no lattice has
+_DIRECTIONS = np.array([[0.54, 0.32, 0.78], [-0.83, 0.47, 0.31], [0.23, -0.71, -0.67]])  # none along a lattice
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ def mend_mesh(mesh: o3d.geometry.TriangleMesh) -> tuple[o3d.geometry.TriangleMes
     cut = o3d.geometry.TriangleMesh(mesh)
     if doubled.any():
         cut = _rebuilt(mesh, source, sheet.reshape(-1, 3))
-    inward, n_inward = _inward(np.asarray(cut.vertices), np.asarray(cut.triangles), cut)
+    inward, n_inward = _inward(cut)
     if n_inward:
         turned = np.asarray(cut.triangles).copy()
         turned[inward] = turned[inward][:, ::-1]
@@ -115,10 +115,9 @@ def _neighbouring_corners(triangles: NDArray[np.int32]) -> tuple[NDArray[np.int6
     return np.concatenate([start[one], end[one]]), np.concatenate([end[other], start[other]]), crowded
 
 
-def _inward(
-    points: NDArray[np.float64], triangles: NDArray[np.int32], mesh: o3d.geometry.TriangleMesh
-) -> tuple[NDArray[np.bool_], int]:
+def _inward(mesh: o3d.geometry.TriangleMesh) -> tuple[NDArray[np.bool_], int]:
     """(n_triangles,) which belong to closed pieces that are inside out, and how many pieces these are."""
+    points, triangles = np.asarray(mesh.vertices), np.asarray(mesh.triangles)
     piece = _pieces(triangles, len(points))[triangles[:, 0]]
     n_pieces = int(piece.max(initial=-1)) + 1
     middle = points.mean(axis=0)
@@ -128,18 +127,27 @@ def _inward(
     _, owner, uses = np.unique(edges @ [len(points), 1], return_index=True, return_counts=True)
     closed = np.ones(n_pieces, np.bool_)
     closed[piece[owner[uses == 1] // 3]] = False
-    enclosed = np.zeros(n_pieces, np.int64)
-    if n_pieces > 1:
-        # Beyond its outermost vertex in some direction a piece is not met again.
-        height = (points @ _GENERIC)[triangles].max(axis=1)
-        order = np.lexsort([height, piece])
+    enclosed = _enclosed(mesh, piece, n_pieces) if n_pieces > 1 else np.zeros(n_pieces, np.bool_)
+    wrong = closed & ((volumes < 0) != enclosed)
+    return wrong[piece], int(wrong.sum())
+
+
+def _enclosed(mesh: o3d.geometry.TriangleMesh, piece: NDArray[np.int32], n_pieces: int) -> NDArray[np.bool_]:
+    """(n_pieces,) whether an odd number of other pieces encloses each; where pieces touch, the majority of three rays.
+
+    Beyond its outermost vertex in some direction, a ray in that direction does not meet the piece again.
+    """
+    points, triangles = np.asarray(mesh.vertices), np.asarray(mesh.triangles)
+    caster = RayCaster(mesh)
+    beyond = 1e-5 * float(np.linalg.norm(np.ptp(points, axis=0)))
+    votes = np.zeros(n_pieces, np.int64)
+    for direction in _DIRECTIONS:
+        order = np.lexsort([(points @ direction)[triangles].max(axis=1), piece])
         last = order[np.searchsorted(piece[order], np.arange(n_pieces), side="right") - 1]
         corners = points[triangles[last]]
-        top = corners[np.arange(n_pieces), (corners @ _GENERIC).argmax(axis=1)]
-        beyond = 1e-5 * float(np.linalg.norm(np.ptp(points, axis=0)))
-        enclosed = RayCaster(mesh).crossings(top + beyond * _GENERIC, _GENERIC)
-    wrong = closed & ((volumes < 0) == (enclosed % 2 == 0))
-    return wrong[piece], int(wrong.sum())
+        top = corners[np.arange(n_pieces), (corners @ direction).argmax(axis=1)]
+        votes += caster.crossings(top + beyond * direction, direction) % 2
+    return np.asarray(2 * votes > len(_DIRECTIONS))
 
 
 def _rebuilt(
