@@ -97,18 +97,21 @@ def test_the_mesh_has_the_views_colours_and_its_support(result: recon3d.Reconstr
     assert "of its vertices seen by two views or more" in str(result.summary()["mesh"])
 
 
-def test_the_mesh_is_nearer_to_photographs_left_out_than_its_voxels(temple: recon3d.BuiltInScene) -> None:
-    names = [view.name for view in temple.scene.views]
-    used, left_out = temple.scene.subset(names[:2] + names[3:]), temple.scene.views[2]
+def test_the_mesh_is_nearer_to_photographs_left_out_than_its_voxels() -> None:
+    scene = recon3d.little_temple(width=160, height=120).scene
+    left_out = scene.views[2::5]
+    used = replace(scene, views=tuple(view for view in scene.views if view.name not in [v.name for v in left_out]))
     result = recon3d.reconstruct(used, recon3d.Settings(n_voxels=200_000, method="visual-hull"))
     voxels = recon3d.mesh_volume(result.hull.solid, colors_from=result.hull.volume, distance=result.hull.distance)
 
     def difference(mesh: o3d.geometry.TriangleMesh) -> float:
-        rendering = recon3d.Renderer(mesh).render_view(left_out)
-        shown = rendering.hit & left_out.silhouette
-        return float(np.abs(255 * rendering.colors[shown] - left_out.image[shown]).mean())
+        renderings = [recon3d.Renderer(mesh).render_view(view) for view in left_out]
+        shown = [rendering.hit & view.silhouette for rendering, view in zip(renderings, left_out, strict=True)]
+        pairs = [255 * r.colors[s] - view.image[s] for r, s, view in zip(renderings, shown, left_out, strict=True)]
+        return float(np.median(np.abs(np.concatenate(pairs)).mean(axis=1)))
 
-    assert difference(result.mesh) < 0.9 * difference(voxels)
+    # The hull's own errors are in both.
+    assert difference(result.mesh) < 0.8 * difference(voxels)
 
 
 def test_specks_are_dropped_unless_all_pieces_are_wanted(temple: recon3d.BuiltInScene) -> None:
