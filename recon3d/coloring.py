@@ -26,9 +26,9 @@ def color_from_views(
 ) -> tuple[o3d.geometry.TriangleMesh, NDArray[np.int64]]:
     """A mesh with the colours that the photographs agree on at its vertices, and how many views see each vertex.
 
-    Each view that sees a vertex (see ``seeing_views``) is sampled between its pixels. A view weighs by the
-    number of pixels that it has for an area of the surface (cosine over footprint squared), and hardly where its pixel
-    lies beside a jump of depth, since what lies behind bleeds in there; a pixel in the background or beside it is not
+    Each view that sees a vertex (see ``seeing_views``) is sampled between its pixels. A view weighs by the number of
+    pixels that it has for an area of the surface (cosine over footprint squared), and hardly where its pixel lies
+    beside a jump of depth, since what lies behind bleeds in there; a pixel in the background or beside it is not
     asked. Channel by channel the weighted median of the views counts: a highlight, or a view that is mistaken, cannot
     draw it away from what the others agree on. Where no view can be asked, colours flow in along the surface from
     where one can.

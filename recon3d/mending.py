@@ -51,10 +51,10 @@ def drop_specks(mesh: o3d.geometry.TriangleMesh, min_area: float) -> tuple[o3d.g
     min_area : square world units.
     """
     points, triangles = np.asarray(mesh.vertices), np.asarray(mesh.triangles)
-    piece = _pieces(triangles, len(points))[triangles[:, 0]]
+    piece = _pieces(triangles)
     a, b, c = points[triangles].transpose(1, 0, 2)
     areas = np.bincount(piece, 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1))
-    small = (areas < min_area) & (np.bincount(piece) > 0)
+    small = areas < min_area
     small[areas.argmax()] = False
     if not small.any():
         return mesh, 0
@@ -79,7 +79,7 @@ def mend_mesh(mesh: o3d.geometry.TriangleMesh) -> tuple[o3d.geometry.TriangleMes
     triangles = np.asarray(mesh.triangles)
     first, second, crowded = _neighbouring_corners(triangles)
     sheet = _components(first, second, triangles.size)
-    source = np.empty(sheet.max(initial=-1) + 1, np.int64)
+    source = np.empty(sheet.max() + 1, np.int64)
     source[sheet] = triangles.ravel()
     doubled = np.bincount(source, minlength=len(mesh.vertices)) > 1
     cut = o3d.geometry.TriangleMesh(mesh)
@@ -103,7 +103,7 @@ def _neighbouring_corners(triangles: NDArray[np.int32]) -> tuple[NDArray[np.int6
     corner = np.arange(triangles.size).reshape(-1, 3)
     start, end = corner.ravel(), np.roll(corner, -1, axis=1).ravel()
     a, b = triangles.ravel()[start].astype(np.int64), triangles.ravel()[end].astype(np.int64)
-    key = np.minimum(a, b) * (triangles.max(initial=0) + 1) + np.maximum(a, b)
+    key = np.minimum(a, b) * (triangles.max() + 1) + np.maximum(a, b)
     order = np.argsort(key, kind="stable")
     begins = np.flatnonzero(np.diff(key[order], prepend=-1))
     length = np.diff(begins, append=len(key))
@@ -118,8 +118,8 @@ def _neighbouring_corners(triangles: NDArray[np.int32]) -> tuple[NDArray[np.int6
 def _inward(mesh: o3d.geometry.TriangleMesh) -> tuple[NDArray[np.bool_], int]:
     """(n_triangles,) which belong to closed pieces that are inside out, and how many pieces these are."""
     points, triangles = np.asarray(mesh.vertices), np.asarray(mesh.triangles)
-    piece = _pieces(triangles, len(points))[triangles[:, 0]]
-    n_pieces = int(piece.max(initial=-1)) + 1
+    piece = _pieces(triangles)
+    n_pieces = int(piece.max()) + 1
     middle = points.mean(axis=0)
     a, b, c = (points[triangles] - middle).transpose(1, 0, 2)
     volumes = np.bincount(piece, np.einsum("ij,ij->i", a, np.cross(b, c)), n_pieces)
@@ -132,7 +132,7 @@ def _inward(mesh: o3d.geometry.TriangleMesh) -> tuple[NDArray[np.bool_], int]:
     return wrong[piece], int(wrong.sum())
 
 
-def _enclosed(mesh: o3d.geometry.TriangleMesh, piece: NDArray[np.int32], n_pieces: int) -> NDArray[np.bool_]:
+def _enclosed(mesh: o3d.geometry.TriangleMesh, piece: NDArray[np.int64], n_pieces: int) -> NDArray[np.bool_]:
     """(n_pieces,) whether an odd number of other pieces encloses each; where pieces touch, the majority of three rays.
 
     Beyond its outermost vertex in some direction, a ray in that direction does not meet the piece again.
@@ -163,9 +163,10 @@ def _rebuilt(
     return rebuilt
 
 
-def _pieces(triangles: NDArray[np.int32], n_points: int) -> NDArray[np.int32]:
-    """(n_points,) number of the connected piece that each vertex belongs to."""
-    return _components(triangles[:, [0, 1]].ravel(), triangles[:, [1, 2]].ravel(), n_points)
+def _pieces(triangles: NDArray[np.int32]) -> NDArray[np.int64]:
+    """(n,) number of the connected piece that each triangle (n, 3) belongs to."""
+    of_points = _components(triangles[:, [0, 1]].ravel(), triangles[:, [1, 2]].ravel(), int(triangles.max()) + 1)
+    return np.unique(of_points[triangles[:, 0]], return_inverse=True)[1]
 
 
 def _components(first: NDArray[np.integer], second: NDArray[np.integer], n: int) -> NDArray[np.int32]:

@@ -11,6 +11,7 @@ import open3d as o3d
 from numpy.typing import NDArray
 
 from recon3d.casting import RayCaster
+from recon3d.errors import EmptyReconstructionError
 from recon3d.kernels.vertex_colors import facing_views
 from recon3d.scene import Scene, View
 
@@ -127,11 +128,18 @@ def count_seeing_views(mesh: o3d.geometry.TriangleMesh, scene: Scene) -> NDArray
 
 
 def without_unseen(mesh: o3d.geometry.TriangleMesh, scene: Scene) -> o3d.geometry.TriangleMesh:
-    """The part of a mesh that some view sees: open where nobody looked, such as underneath."""
+    """The part of a mesh that some view sees: open where nobody looked, such as underneath.
+
+    Raises
+    ------
+    EmptyReconstructionError : no view sees any of it.
+    """
     seen = count_seeing_views(mesh, scene) > 0
     part = o3d.geometry.TriangleMesh(mesh)
     part.remove_triangles_by_mask(~seen[np.asarray(mesh.triangles)].all(axis=1))
     part.remove_unreferenced_vertices()
+    if not part.has_triangles():
+        raise EmptyReconstructionError(f"scene {scene.name}: no view sees any of the surface")
     return part
 
 

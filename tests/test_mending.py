@@ -60,6 +60,8 @@ def test_vertices_on_no_triangle_are_no_specks() -> None:
     ball = ball_mesh(1.0)
     loose = mesh_of(np.vstack([np.asarray(ball.vertices), [[5, 5, 5]]]), np.asarray(ball.triangles))
     assert drop_specks(loose, min_area=0.1)[1] == 0
+    inside = np.vstack([[[0.1, 0, 0]], np.asarray(ball.vertices), [[0, 0, 0]]])
+    assert mend_mesh(mesh_of(inside, np.asarray(ball.triangles) + 1))[1] == Mending()
 
 
 def test_a_sound_mesh_comes_back_as_it_was() -> None:
