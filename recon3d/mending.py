@@ -59,7 +59,7 @@ def drop_specks(mesh: o3d.geometry.TriangleMesh, min_area: float) -> tuple[o3d.g
     if not small.any():
         return mesh, 0
     kept = o3d.geometry.TriangleMesh(mesh)
-    kept.remove_triangles_by_mask(small[piece])
+    kept.remove_triangles_by_mask(np.asarray(small[piece]).tolist())
     kept.remove_unreferenced_vertices()
     return kept, int(small.sum())
 
