@@ -14,6 +14,7 @@ from .carving import (
     vote_carving,
     voxel_coloring,
 )
+from .coloring import color_from_views
 from .comparison import Comparison, compare
 from .consistency import (
     TESTS,
@@ -42,9 +43,11 @@ from .io import (
     read_geometry,
     read_mesh,
     read_middlebury,
+    read_support,
     write_geometry,
     write_middlebury,
 )
+from .mending import Mending, drop_specks, mend_mesh
 from .pipeline import (
     Reconstruction,
     evaluate_files,
@@ -53,7 +56,15 @@ from .pipeline import (
     save_pictures,
 )
 from .quality import Quality, Reprojection, ShapeQuality, measure_quality
-from .rendering import Renderer, Rendering, comparison_sheet, count_seeing_views, turntable, without_unseen
+from .rendering import (
+    Renderer,
+    Rendering,
+    comparison_sheet,
+    count_seeing_views,
+    seeing_views,
+    turntable,
+    without_unseen,
+)
 from .scene import Scene, View, make_bounds
 from .settings import Settings
 from .silhouettes import (
@@ -82,6 +93,7 @@ __all__ = [
     "FuzzyAdaptiveHysteresis",
     "Hysteresis",
     "Label",
+    "Mending",
     "Patches",
     "PhotoHull",
     "Quality",
@@ -101,9 +113,11 @@ __all__ = [
     "View",
     "VisibilityError",
     "VolumeTooLargeError",
+    "color_from_views",
     "compare",
     "comparison_sheet",
     "count_seeing_views",
+    "drop_specks",
     "error_map",
     "evaluate",
     "evaluate_files",
@@ -116,6 +130,7 @@ __all__ = [
     "load_test",
     "make_bounds",
     "measure_quality",
+    "mend_mesh",
     "mesh_sparse",
     "mesh_volume",
     "open_scene",
@@ -124,11 +139,13 @@ __all__ = [
     "read_geometry",
     "read_mesh",
     "read_middlebury",
+    "read_support",
     "reconstruct",
     "roxels",
     "save_error_maps",
     "save_evaluation",
     "save_pictures",
+    "seeing_views",
     "show_mesh",
     "space_carving",
     "surface_points",

@@ -34,6 +34,18 @@ class RayCaster:
             answer["primitive_uvs"].numpy().astype(np.float64),
         )
 
+    def hidden(self, origin: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Whether something of the mesh lies between one point and each of points (n, 3)."""
+        start = np.broadcast_to(origin - self._middle, points.shape)
+        rays = np.concatenate([start, points - origin], axis=1).astype(np.float32)
+        return np.asarray(self._scene.test_occlusions(o3d.core.Tensor.from_numpy(rays), 0.0, 1.0).numpy())
+
+    def crossings(self, origins: NDArray[np.float64], direction: NDArray[np.float64]) -> NDArray[np.int64]:
+        """(n,) how many triangles a ray from each origin (n, 3) crosses in a direction."""
+        rays = np.concatenate([origins - self._middle, np.broadcast_to(direction, origins.shape)], axis=1)
+        counts = self._scene.count_intersections(o3d.core.Tensor.from_numpy(rays.astype(np.float32)))
+        return np.asarray(counts.numpy(), np.int64)
+
     def distances(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """(n,) exact distances of points (n, 3) to the triangles."""
         moved = o3d.core.Tensor.from_numpy((points - self._middle).astype(np.float32))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import platform
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 from time import perf_counter
@@ -17,10 +17,12 @@ from numpy.typing import NDArray
 
 from recon3d._version import __version__
 from recon3d.carving import METHODS, PhotoHull
-from recon3d.errors import DataError, EmptyReconstructionError
+from recon3d.coloring import color_from_views
+from recon3d.errors import DataError
 from recon3d.evaluation import Evaluation, error_map, evaluate, triangles_near
 from recon3d.html import Summarised
 from recon3d.io.files import MESH_SUFFIXES, read_geometry, read_mesh, write_geometry, write_image, write_json
+from recon3d.mending import Mending, drop_specks, mend_mesh
 from recon3d.quality import Quality, measure_quality
 from recon3d.rendering import Renderer, comparison_sheet, turntable, without_unseen
 from recon3d.scene import Scene
@@ -43,7 +45,12 @@ class Reconstruction(Summarised):
     points: o3d.geometry.PointCloud
     """Coloured centres of the surface voxels with outward normals."""
     mesh: o3d.geometry.TriangleMesh
-    """Smooth, coloured; closed unless what is unseen was left out."""
+    """Smooth, coloured from the views; closed unless what is unseen was left out."""
+    support: NDArray[np.int64]
+    """(n_vertices,) how many views see each vertex of the mesh. One view alone, or none, cannot measure the surface:
+    there it is closed by the hull."""
+    mending: Mending
+    """What was wrong with the mesh before."""
     timings: dict[str, float]
     """Seconds of each step."""
     quality: Quality
@@ -74,7 +81,10 @@ class Reconstruction(Summarised):
         # The record tells a finished result: it goes first and comes last.
         record = self.record()
         (folder / "record.json").unlink(missing_ok=True)
-        written = {f"mesh ({name})": write_geometry(folder / f"mesh.{name}", self.mesh) for name in mesh_formats}
+        written = {
+            f"mesh ({name})": write_geometry(folder / f"mesh.{name}", self.mesh, support=self.support)
+            for name in mesh_formats
+        }
         written["points"] = write_geometry(folder / "points.ply", self.points)
         written["voxel grid"] = write_geometry(folder / "voxels.ply", self.hull.volume.to_voxel_grid())
         if pictures:
@@ -102,7 +112,12 @@ class Reconstruction(Summarised):
             "settings": self.settings.record(),
             "volume": {"shape": list(volume.shape), "voxel_size": volume.voxel_size, "origin": list(volume.origin)},
             "voxels": self.hull.counts(),
-            "mesh": {"vertices": len(self.mesh.vertices), "triangles": len(self.mesh.triangles)},
+            "mesh": {
+                "vertices": len(self.mesh.vertices),
+                "triangles": len(self.mesh.triangles),
+                "support": np.bincount(self.support).tolist(),
+                **self.mending.record(),
+            },
             "timings_s": self.timings,
             "quality": self.quality.record(),
             "evaluation": self.evaluation.record() if self.evaluation else None,
@@ -112,10 +127,12 @@ class Reconstruction(Summarised):
         """Table of the run."""
         volume = self.hull.volume
         mm = volume.voxel_size * self.scene.mm_per_unit
+        measured = float((self.support > 1).mean())
         return {
             "scene": f"{self.scene.name}, {len(self.scene.views)} views",
             "voxels": f"{volume.occupied.size:,} of {mm:.3g} mm, {volume.n_occupied:,} accepted",
-            "mesh": f"{len(self.mesh.triangles):,} triangles",
+            "mesh": f"{len(self.mesh.triangles):,} triangles, {measured:.0%} of its vertices seen by two views or more",
+            **({"mended": str(self.mending)} if str(self.mending) else {}),
             "time": ", ".join(f"{name} {seconds:.2f} s" for name, seconds in self.timings.items()),
             **self.quality.summary(),
             **(self.evaluation.summary() if self.evaluation else {}),
@@ -151,21 +168,22 @@ def reconstruct(
         volume = CarvingVolume.enclosing(scene.bounds, voxel_size=settings.voxel_size, n_voxels=settings.n_voxels)
         hull = carve(scene, volume, settings, progress=lambda done, total: report("carving", done, total))
     with _timed(timings, "surface"):
-        report("surface", 0, 2)
+        report("surface", 0, 3)
         points = surface_points(hull.volume, solid=hull.solid)
-        report("surface", 1, 2)
+        report("surface", 1, 3)
         shell = METHODS[settings.method].one_sided and not settings.fill_hidden
         mesh = mesh_volume(
             hull.volume if shell else hull.solid,
-            colors_from=hull.volume,
             distance=hull.distance,
             smoothing=settings.smoothing,
         )
+        mesh, specks = drop_specks(mesh, settings.min_piece * volume.voxel_size**2)
         if not settings.keep_unseen:
             mesh = without_unseen(mesh, scene)
-            if not mesh.has_triangles():
-                raise EmptyReconstructionError(f"scene {scene.name}: no view sees a whole triangle of the surface")
-        report("surface", 2, 2)
+        mesh, mending = mend_mesh(mesh)
+        report("surface", 2, 3)
+        mesh, support = color_from_views(mesh, scene)
+        report("surface", 3, 3)
     with _timed(timings, "quality"):
         report("quality", 0, 1)
         quality = measure_quality(mesh, scene)
@@ -176,7 +194,9 @@ def reconstruct(
             report("evaluation", 0, 1)
             evaluation = evaluate(mesh, ground_truth, mm_per_unit=scene.mm_per_unit)
             report("evaluation", 1, 1)
-    return Reconstruction(scene, settings, hull, points, mesh, timings, quality, evaluation)
+    return Reconstruction(
+        scene, settings, hull, points, mesh, support, replace(mending, specks=specks), timings, quality, evaluation
+    )
 
 
 def carve(scene: Scene, volume: CarvingVolume, settings: Settings, **callbacks: Any) -> PhotoHull:

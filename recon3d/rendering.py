@@ -11,7 +11,11 @@ import open3d as o3d
 from numpy.typing import NDArray
 
 from recon3d.casting import RayCaster
+from recon3d.errors import EmptyReconstructionError
+from recon3d.kernels.vertex_colors import facing_views
 from recon3d.scene import Scene, View
+
+_CLEARANCE = 0.1  # pixel footprints before a vertex where its line of sight ends
 
 
 @dataclass(frozen=True)
@@ -95,27 +99,47 @@ class Renderer:
         return self.render(view.K, view.cam_from_world, view.width, view.height)
 
 
+def seeing_views(mesh: o3d.geometry.TriangleMesh, scene: Scene, caster: RayCaster | None = None) -> NDArray[np.bool_]:
+    """(n_views, n_vertices) whether a view sees a vertex of a mesh: from outside, nothing of the mesh in between.
+
+    Parameters
+    ----------
+    caster : of the mesh, where there is one already.
+    """
+    if not mesh.has_vertex_normals():
+        mesh = o3d.geometry.TriangleMesh(mesh)
+        mesh.compute_vertex_normals()
+    caster = caster or RayCaster(mesh)
+    vertices, normals = np.asarray(mesh.vertices), np.asarray(mesh.vertex_normals)
+    # A vertex lies on triangles of its own, so its ray ends a little before it.
+    ends = vertices + _CLEARANCE * scene.pixel_footprint * normals
+    seen = np.empty((len(scene.views), len(vertices)), np.bool_)
+    projections = np.stack([view.projection for view in scene.views])
+    sizes = np.array([(view.width, view.height) for view in scene.views])
+    facing_views(vertices, normals, projections, scene.centers, sizes, seen)
+    for row, view in zip(seen, scene.views, strict=True):
+        row[row] = ~caster.hidden(view.center, ends[row])
+    return seen
+
+
 def count_seeing_views(mesh: o3d.geometry.TriangleMesh, scene: Scene) -> NDArray[np.int64]:
-    """(n_vertices,) how many views see each vertex of a mesh, nothing of the mesh being in between."""
-    vertices = np.asarray(mesh.vertices)
-    # A vertex lies on triangles of its own, so its ray may end a little before it.
-    slack = 1e-3 * float(np.linalg.norm(mesh.get_max_bound() - mesh.get_min_bound()))
-    caster = RayCaster(mesh)
-    counts = np.zeros(len(vertices), np.int64)
-    for view in scene.views:
-        sight = vertices - view.center
-        distance = np.linalg.norm(sight, axis=1)
-        first, _, _ = caster.first_hits(view.center, sight / distance[:, None])
-        counts += view.sees(vertices) & (first > distance - slack)
-    return counts
+    """(n_vertices,) how many views see each vertex of a mesh."""
+    return np.asarray(seeing_views(mesh, scene).sum(axis=0))
 
 
 def without_unseen(mesh: o3d.geometry.TriangleMesh, scene: Scene) -> o3d.geometry.TriangleMesh:
-    """The part of a mesh that some view sees: open where nobody looked, such as underneath."""
+    """The part of a mesh that some view sees: open where nobody looked, such as underneath.
+
+    Raises
+    ------
+    EmptyReconstructionError : no view sees any of it.
+    """
     seen = count_seeing_views(mesh, scene) > 0
     part = o3d.geometry.TriangleMesh(mesh)
     part.remove_triangles_by_mask(~seen[np.asarray(mesh.triangles)].all(axis=1))
     part.remove_unreferenced_vertices()
+    if not part.has_triangles():
+        raise EmptyReconstructionError(f"scene {scene.name}: no view sees any of the surface")
     return part
 
 

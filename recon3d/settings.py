@@ -49,6 +49,9 @@ class Settings:
     """Keep surface that no view sees, such as the underside, so that the mesh is closed."""
     smoothing: int = 5
     """Pairs of Taubin steps on the mesh; 0: none."""
+    min_piece: float = 100.0
+    """Area, in faces of a voxel, below which a separate piece of the mesh is a speck and dropped; 100 is the surface
+    of four voxels cubed, 0 keeps all."""
 
     def __post_init__(self) -> None:
         if self.voxel_size is not None and not 0 < self.voxel_size < np.inf:
@@ -63,6 +66,8 @@ class Settings:
             raise ValueError(f"expected max_views of at least 1, got {self.max_views}")
         if self.smoothing < 0:
             raise ValueError(f"expected smoothing of 0 or more, got {self.smoothing}")
+        if not 0 <= self.min_piece < np.inf:
+            raise ValueError(f"expected min_piece of 0 or more, got {self.min_piece}")
 
     def resolved(self, scene: Scene) -> Settings:
         """The same settings with the method and test that "auto" and None mean for a scene.

@@ -18,6 +18,7 @@ from recon3d.io.files import (
     read_geometry,
     read_image,
     read_mesh,
+    read_support,
     write_geometry,
     write_image,
     write_json,
@@ -104,6 +105,48 @@ def test_a_mesh_reads_back_in_every_format(tmp_path: Path, suffix: str) -> None:
         colors = np.asarray(mesh.vertex_colors)[np.asarray(mesh.triangles)]
         # PLY holds eight bits a channel.
         np.testing.assert_allclose(np.asarray(read.vertex_colors)[np.asarray(read.triangles)], colors, atol=1 / 255)
+
+
+@pytest.mark.parametrize("with_colors", [True, False])
+def test_a_ply_file_keeps_the_support_of_every_vertex(tmp_path: Path, with_colors: bool) -> None:
+    mesh = colored_mesh() if with_colors else ball_mesh()
+    support = np.arange(len(mesh.vertices)) % 17
+    path = write_geometry(tmp_path / "a.ply", mesh, support=support)
+    np.testing.assert_array_equal(read_support(path), support)
+    read = read_mesh(path)
+    np.testing.assert_array_equal(np.asarray(read.vertices), np.asarray(mesh.vertices))
+    np.testing.assert_array_equal(np.asarray(read.triangles), np.asarray(mesh.triangles))
+    np.testing.assert_array_equal(np.asarray(read.vertex_normals), np.asarray(mesh.vertex_normals))
+    assert read.has_vertex_colors() == with_colors
+
+
+def test_open3d_writes_the_same_mesh_as_we_do(tmp_path: Path) -> None:
+    mesh = colored_mesh()
+    o3d.io.write_triangle_mesh(tmp_path / "theirs.ply", mesh)
+    ours, theirs = read_mesh(write_geometry(tmp_path / "ours.ply", mesh)), read_mesh(tmp_path / "theirs.ply")
+    for part in ("vertices", "triangles", "vertex_normals"):
+        np.testing.assert_array_equal(np.asarray(getattr(ours, part)), np.asarray(getattr(theirs, part)))
+    # One rounds, the other cuts off.
+    np.testing.assert_allclose(np.asarray(ours.vertex_colors), np.asarray(theirs.vertex_colors), atol=1.01 / 255)
+
+
+def test_a_file_without_support_has_none(tmp_path: Path) -> None:
+    assert read_support(write_geometry(tmp_path / "a.ply", ball_mesh())) is None
+    assert read_support(write_geometry(tmp_path / "a.obj", ball_mesh())) is None
+    with pytest.raises(DataError, match=r"b\.ply: no such file"):
+        read_support(tmp_path / "b.ply")
+
+
+def test_support_that_does_not_fit_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"expected a number for each vertex of a mesh as support, got shape \(3,\)"):
+        write_geometry(tmp_path / "a.ply", ball_mesh(), support=np.zeros(3, np.int64))
+    path = write_geometry(tmp_path / "b.ply", ball_mesh(), support=np.zeros(len(ball_mesh().vertices), np.int64))
+    path.write_bytes(path.read_bytes()[:500])
+    with pytest.raises(DataError, match=r"b\.ply: expected \d+ vertices, got \d+"):
+        read_support(path)
+    path.write_text("ply\nformat ascii 1.0\nelement vertex 1\nproperty int support\nend_header\n3\n")
+    with pytest.raises(DataError, match="expected a PLY file as write_geometry writes it"):
+        read_support(path)
 
 
 @pytest.mark.parametrize("suffix", MESH_SUFFIXES)

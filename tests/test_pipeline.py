@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -34,6 +35,7 @@ def test_what_is_saved_reads_back_as_it_was(result: recon3d.Reconstruction, tmp_
     mesh = recon3d.read_mesh(written["mesh (ply)"])
     np.testing.assert_allclose(np.asarray(mesh.vertices), np.asarray(result.mesh.vertices), atol=1e-12)
     assert mesh.has_vertex_colors()
+    np.testing.assert_array_equal(recon3d.read_support(written["mesh (ply)"]), result.support)
     for name in ("obj", "glb", "stl"):
         assert len(recon3d.read_mesh(written[f"mesh ({name})"]).triangles) == len(result.mesh.triangles)
     cloud = recon3d.read_geometry(written["points"])
@@ -87,6 +89,53 @@ def _volume(mesh: o3d.geometry.TriangleMesh) -> float:
     return float((a * np.cross(b, c)).sum() / 6)
 
 
+def test_the_mesh_has_the_views_colours_and_its_support(result: recon3d.Reconstruction) -> None:
+    np.testing.assert_array_equal(result.support, recon3d.count_seeing_views(result.mesh, result.scene))
+    colored, _ = recon3d.color_from_views(result.mesh, result.scene)
+    np.testing.assert_array_equal(np.asarray(result.mesh.vertex_colors), np.asarray(colored.vertex_colors))
+    support = result.record()["mesh"]["support"]
+    assert sum(support) == len(result.mesh.vertices)
+    assert support[0] == (result.support == 0).sum()
+    assert "of its vertices seen by two views or more" in str(result.summary()["mesh"])
+
+
+def test_the_mesh_is_nearer_to_photographs_left_out_than_its_voxels() -> None:
+    scene = recon3d.little_temple(width=160, height=120).scene
+    left_out = scene.views[2::5]
+    used = replace(scene, views=tuple(view for view in scene.views if view.name not in [v.name for v in left_out]))
+    result = recon3d.reconstruct(used, recon3d.Settings(n_voxels=200_000, method="visual-hull"))
+    voxels = recon3d.mesh_volume(result.hull.solid, colors_from=result.hull.volume, distance=result.hull.distance)
+
+    def difference(mesh: o3d.geometry.TriangleMesh) -> float:
+        renderings = [recon3d.Renderer(mesh).render_view(view) for view in left_out]
+        shown = [rendering.hit & view.silhouette for rendering, view in zip(renderings, left_out, strict=True)]
+        pairs = [255 * r.colors[s] - view.image[s] for r, s, view in zip(renderings, shown, left_out, strict=True)]
+        return float(np.median(np.abs(np.concatenate(pairs)).mean(axis=1)))
+
+    # The hull's own errors are in both.
+    assert difference(result.mesh) < 0.8 * difference(voxels)
+
+
+def test_specks_are_dropped_unless_all_pieces_are_wanted(temple: recon3d.BuiltInScene) -> None:
+    settings = recon3d.Settings(n_voxels=20_000, method="voxel-coloring", min_piece=0)
+    everything = recon3d.reconstruct(temple.scene, settings)
+    tidy = recon3d.reconstruct(temple.scene, replace(settings, min_piece=100))
+    assert everything.mending.specks == 0
+    assert "mended" not in everything.summary()
+    assert tidy.mending.specks > 0
+    assert f"{tidy.mending.specks} specks dropped" in str(tidy.summary()["mended"])
+    assert tidy.record()["mesh"]["specks"] == tidy.mending.specks
+    assert len(tidy.mesh.triangles) < len(everything.mesh.triangles)
+
+
+def test_a_mesh_without_what_is_unseen_is_manifold(temple: recon3d.BuiltInScene) -> None:
+    settings = recon3d.Settings(n_voxels=60_000, method="visual-hull", keep_unseen=False)
+    result = recon3d.reconstruct(temple.scene, settings)
+    assert result.mesh.is_edge_manifold()
+    assert result.mesh.is_vertex_manifold()
+    assert len(result.support) == len(result.mesh.vertices)
+
+
 def test_progress_is_reported_stage_by_stage(temple: recon3d.BuiltInScene) -> None:
     seen: list[tuple[str, int, int]] = []
     recon3d.reconstruct(
@@ -115,6 +164,7 @@ def test_bad_settings_are_refused() -> None:
         ({"views": "some"}, "expected views"),
         ({"max_views": 0}, "max_views"),
         ({"smoothing": -1}, "smoothing"),
+        ({"min_piece": -1}, "min_piece"),
     ):
         with pytest.raises(ValueError, match=message):
             recon3d.Settings(**bad)  # type: ignore[arg-type]

@@ -241,6 +241,9 @@ def test_without_unseen_leaves_what_some_view_sees(temple: BuiltInScene) -> None
     assert 0 < len(part.triangles) < len(mesh.triangles)
     assert (count_seeing_views(part, temple.scene) > 0).all()
 
+    with pytest.raises(EmptyReconstructionError, match="no view sees any of the surface"):
+        without_unseen(o3d.geometry.TriangleMesh(mesh).translate((0, 0, 50)), temple.scene)
+
     def underside(shape: o3d.geometry.TriangleMesh) -> int:
         return int((np.asarray(shape.vertices)[np.asarray(shape.triangles)][:, :, 2].max(axis=1) < 1e-6).sum())
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from recon3d.errors import DataError
-from recon3d.io.files import read_geometry, read_mesh, write_geometry
+from recon3d.io.files import read_geometry, read_mesh, read_support, write_geometry
 from recon3d.io.middlebury import is_middlebury, read_angles, read_bounds, read_middlebury, write_middlebury
 from recon3d.scene import Scene
 
@@ -60,6 +60,7 @@ __all__ = [
     "read_geometry",
     "read_mesh",
     "read_middlebury",
+    "read_support",
     "write_geometry",
     "write_middlebury",
 ]

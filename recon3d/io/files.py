@@ -22,6 +22,8 @@ Geometry = o3d.geometry.TriangleMesh | o3d.geometry.PointCloud | o3d.geometry.Vo
 
 MESH_SUFFIXES = (".ply", ".obj", ".glb", ".stl")
 
+_PLY_TYPES = {"double": "<f8", "float": "<f4", "int": "<i4", "uint": "<u4", "uchar": "u1"}
+
 
 @contextmanager
 def atomic_path(path: Path | str) -> Iterator[Path]:
@@ -46,8 +48,12 @@ def _umask() -> int:
     return mask
 
 
-def write_geometry(path: Path | str, geometry: Geometry) -> Path:
+def write_geometry(path: Path | str, geometry: Geometry, *, support: NDArray[np.int64] | None = None) -> Path:
     """Write a mesh (PLY, OBJ, GLB, STL), a point cloud (PLY) or a voxel grid (PLY); returns the path.
+
+    Parameters
+    ----------
+    support : (n_vertices,) how many views see each vertex of a mesh, for ``read_support``; kept by PLY alone.
 
     Raises
     ------
@@ -58,10 +64,14 @@ def write_geometry(path: Path | str, geometry: Geometry) -> Path:
     allowed = MESH_SUFFIXES if isinstance(geometry, o3d.geometry.TriangleMesh) else (".ply",)
     if path.suffix.lower() not in allowed:
         raise ValueError(f"{path}: a {type(geometry).__name__} is written as {', '.join(allowed)}")
+    if support is not None and (
+        not isinstance(geometry, o3d.geometry.TriangleMesh) or support.shape != (len(geometry.vertices),)
+    ):
+        raise ValueError(f"{path}: expected a number for each vertex of a mesh as support, got shape {support.shape}")
     with atomic_path(path) as temporary:
         if isinstance(geometry, o3d.geometry.TriangleMesh):
             if path.suffix.lower() == ".ply":
-                done = o3d.io.write_triangle_mesh(temporary, geometry)
+                done = _write_ply(temporary, geometry, support)
             else:  # Open3D 0.20 cannot read the GLB that it writes
                 done = bool(_to_trimesh(geometry).export(temporary, file_type=path.suffix[1:].lower()))
         elif isinstance(geometry, o3d.geometry.PointCloud):
@@ -97,6 +107,30 @@ def read_geometry(path: Path | str) -> Geometry:
     if empty:
         raise DataError(f"{path}: expected a mesh, point cloud or voxel grid, got nothing that Open3D can read")
     return geometry
+
+
+def read_support(path: Path | str) -> NDArray[np.int64] | None:
+    """(n_vertices,) how many views see each vertex of a mesh that was written as PLY; None where the file has none.
+
+    Raises
+    ------
+    DataError : missing, cut short, or written by another program.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise DataError(f"{path}: no such file")
+    header = _ply_header(path)
+    lines = [line.split() for line in header.partition("element vertex ")[2].partition("element ")[0].splitlines()]
+    properties = [(line[2], line[1]) for line in lines[1:] if line[0] == "property"]
+    if "support" not in dict(properties):
+        return None
+    if "binary_little_endian" not in header or not {kind for _, kind in properties} <= set(_PLY_TYPES):
+        raise DataError(f"{path}: expected a PLY file as write_geometry writes it, got another program's")
+    row = np.dtype([(name, _PLY_TYPES[kind]) for name, kind in properties])
+    vertices = np.fromfile(path, row, int(lines[0][0]), offset=len(header) + len("end_header\n"))
+    if len(vertices) < int(lines[0][0]):
+        raise DataError(f"{path}: expected {lines[0][0]} vertices, got {len(vertices)}")
+    return vertices["support"].astype(np.int64)
 
 
 def read_mesh(path: Path | str) -> o3d.geometry.TriangleMesh:
@@ -151,15 +185,46 @@ def write_text(path: Path | str, text: str) -> Path:
     return Path(path)
 
 
+def _write_ply(path: Path, mesh: o3d.geometry.TriangleMesh, support: NDArray[np.int64] | None) -> bool:
+    """Write as Open3D does, binary, in double precision; it would leave out what it does not know, the support."""
+    columns: list[tuple[str, str, NDArray[Any]]] = []  # name, type in PLY, values
+
+    def add(names: str, kind: str, values: NDArray[Any]) -> None:
+        columns.extend((name, kind, values[:, n]) for n, name in enumerate(names.split()))
+
+    add("x y z", "double", np.asarray(mesh.vertices))
+    if mesh.has_vertex_normals():
+        add("nx ny nz", "double", np.asarray(mesh.vertex_normals))
+    if mesh.has_vertex_colors():
+        add("red green blue", "uchar", _eight_bits(mesh))
+    if support is not None:
+        add("support", "int", support[:, None])
+    vertices = np.empty(len(mesh.vertices), [(name, _PLY_TYPES[kind]) for name, kind, _ in columns])
+    for name, _, values in columns:
+        vertices[name] = values
+    faces = np.empty(len(mesh.triangles), [("count", "u1"), ("corners", "<i4", 3)])
+    faces["count"], faces["corners"] = 3, np.asarray(mesh.triangles)
+    properties = "".join(f"property {kind} {name}\n" for name, kind, _ in columns)
+    header = (
+        f"ply\nformat binary_little_endian 1.0\nelement vertex {len(vertices)}\n{properties}"
+        f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+    path.write_bytes(header.encode("ascii") + vertices.tobytes() + faces.tobytes())
+    return len(vertices) > 0
+
+
+def _eight_bits(mesh: o3d.geometry.TriangleMesh) -> NDArray[np.uint8]:
+    """(n_vertices, 3) colours, 0 to 255."""
+    return np.asarray(np.rint(255 * np.clip(np.asarray(mesh.vertex_colors), 0, 1)), np.uint8)
+
+
 def _to_trimesh(mesh: o3d.geometry.TriangleMesh) -> trimesh.Trimesh:
     """The same mesh, vertex by vertex, with 8-bit colours."""
     return trimesh.Trimesh(
         np.asarray(mesh.vertices),
         np.asarray(mesh.triangles),
         vertex_normals=np.asarray(mesh.vertex_normals) if mesh.has_vertex_normals() else None,
-        vertex_colors=np.rint(255 * np.asarray(mesh.vertex_colors)).astype(np.uint8)
-        if mesh.has_vertex_colors()
-        else None,
+        vertex_colors=_eight_bits(mesh) if mesh.has_vertex_colors() else None,
         process=False,
     )
 

@@ -1,0 +1,109 @@
+"""Which views a vertex faces, and the colour that they agree on."""
+
+import numpy as np
+from numba import prange
+from numpy.typing import NDArray
+
+from recon3d.kernels import kernel
+from recon3d.kernels.silhouettes import bilinear
+
+_BLOCK = 256  # vertices that share one scratch array
+
+
+@kernel(parallel=True)
+def facing_views(
+    points: NDArray[np.float64],
+    normals: NDArray[np.float64],
+    projections: NDArray[np.float64],
+    centers: NDArray[np.float64],
+    sizes: NDArray[np.int64],
+    facing: NDArray[np.bool_],
+) -> None:
+    """Whether points (n, 3) lie in front of a camera, inside its image, and their normals towards it (n_views, n)."""
+    for n in prange(len(points)):
+        for view in range(len(centers)):
+            u, v, depth = _project(projections[view], points[n])
+            along = 0.0
+            for axis in range(3):
+                along += (centers[view, axis] - points[n, axis]) * normals[n, axis]
+            inside = -0.5 <= u < sizes[view, 0] - 0.5 and -0.5 <= v < sizes[view, 1] - 0.5
+            facing[view, n] = depth > 0 and inside and along > 0
+
+
+@kernel(parallel=True)
+def agreed_colors(
+    points: NDArray[np.float64],
+    normals: NDArray[np.float64],
+    seen: NDArray[np.bool_],
+    projections: NDArray[np.float64],
+    centers: NDArray[np.float64],
+    focals: NDArray[np.float64],
+    sizes: NDArray[np.int64],
+    images: NDArray[np.uint8],
+    trust: NDArray[np.float32],
+    colors: NDArray[np.float64],
+) -> None:
+    """Weighted median of the pixels (n_views, height, width, 3) at points (n, 3) that views see (n_views, n).
+
+    A pixel weighs trust (n_views, height, width) times cosine to the normal over footprint squared: how many pixels an
+    area gets. Points that no pixel with any trust shows keep their colour.
+    """
+    n_points, n_views = len(points), len(images)
+    for block in prange((n_points + _BLOCK - 1) // _BLOCK):
+        values = np.empty((3, n_views), np.float64)
+        weights = np.empty(n_views, np.float64)
+        sorted_weights = np.empty(n_views, np.float64)
+        for n in range(block * _BLOCK, min((block + 1) * _BLOCK, n_points)):
+            count = 0
+            for view in range(n_views):
+                if not seen[view, n]:
+                    continue
+                u, v, depth = _project(projections[view], points[n])
+                trusted = trust[view, int(v + 0.5), int(u + 0.5)]
+                if trusted <= 0:
+                    continue
+                along = square = 0.0
+                for axis in range(3):
+                    sight = centers[view, axis] - points[n, axis]
+                    along += sight * normals[n, axis]
+                    square += sight * sight
+                weights[count] = trusted * along / np.sqrt(square) * (focals[view] / depth) ** 2
+                for channel in range(3):
+                    values[channel, count] = bilinear(images[view, :, :, channel], u, v, sizes[view, 0], sizes[view, 1])
+                count += 1
+            if count > 0:
+                for channel in range(3):
+                    sorted_weights[:count] = weights[:count]
+                    colors[n, channel] = weighted_median(values[channel, :count], sorted_weights[:count])
+
+
+@kernel()
+def weighted_median(values: NDArray[np.float64], weights: NDArray[np.float64]) -> float:
+    """Value at half the weight, linear between values whose own weights are centred on them; sorts both in place."""
+    total = weights[0]
+    for n in range(1, len(values)):
+        value, weight = values[n], weights[n]
+        total += weight
+        k = n
+        while k > 0 and values[k - 1] > value:
+            values[k], weights[k] = values[k - 1], weights[k - 1]
+            k -= 1
+        values[k], weights[k] = value, weight
+    below = 0.5 * weights[0]  # weight up to the middle of this value
+    for n in range(1, len(values)):
+        if below >= 0.5 * total:
+            return values[n - 1]
+        step = 0.5 * (weights[n - 1] + weights[n])
+        if below + step >= 0.5 * total:
+            return values[n - 1] + (values[n] - values[n - 1]) * (0.5 * total - below) / step
+        below += step
+    return values[-1]
+
+
+@kernel()
+def _project(P: NDArray[np.float64], point: NDArray[np.float64]) -> tuple[float, float, float]:
+    """Pixel and depth of a point."""
+    depth = P[2, 0] * point[0] + P[2, 1] * point[1] + P[2, 2] * point[2] + P[2, 3]
+    u = (P[0, 0] * point[0] + P[0, 1] * point[1] + P[0, 2] * point[2] + P[0, 3]) / depth
+    v = (P[1, 0] * point[0] + P[1, 1] * point[1] + P[1, 2] * point[2] + P[1, 3]) / depth
+    return u, v, depth
