@@ -1,0 +1,1 @@
+"""Surfaces from dense matching within the carved volume."""
