@@ -73,7 +73,7 @@ def _next_active(nodes: NDArray[np.int32], active: NDArray[np.int32]) -> int:
     """The node of a tree that has waited longest; -1: none."""
     n = nodes.shape[0]
     while active[n + 1] > 0:
-        i = active[active[n]]
+        i = int(active[active[n]])
         active[n] = (active[n] + 1) % n
         active[n + 1] -= 1
         nodes[i, _WAITING] = 0

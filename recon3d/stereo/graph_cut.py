@@ -14,6 +14,7 @@ from recon3d.errors import EmptyReconstructionError
 from recon3d.kernels.min_cut import SINK, min_cut
 from recon3d.kernels.splatting import splat_planes
 from recon3d.surface import blend_colors, mesh_level
+from recon3d.volume import CarvingVolume
 
 _OFFSETS = np.array([(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)])  # d ^ 1 leads back from d
 _FACE = 2 / 3  # so that the lattice's areas are right on average over all directions (Boykov, Kolmogorov 2003)
@@ -82,20 +83,133 @@ def graph_cut(
         )
     solid = hull.solid.occupied
     nodes = binary_dilation(solid, iterations=margin) if margin else solid
-    oriented = _OrientedPoints.read(points).inside(hull, nodes)
-    support, behind = _fields(oriented, nodes.shape, spread)
+    oriented = _OrientedPoints.read(points).inside(hull.volume, nodes)
+    support, behind = _votes(oriented, hull.volume, spread)
     terminal = np.where(solid, ballooning, -_OUTSIDE) + evidence * support / (support + _DOUBT) * np.clip(behind, -1, 1)
     occupied = binary_fill_holes(_cut(nodes, np.exp(-0.5 * attraction * support), terminal))
     if not occupied.any():
         raise EmptyReconstructionError(
-            f"the cut left none of the hull's {int(solid.sum()):,} voxels; with more evidence or ballooning it keeps more"
+            f"the cut left none of the hull's {int(solid.sum()):,} voxels; more evidence or ballooning would keep some"
         )
     distance = _surface_distance(occupied, hull, support, behind)
-    mesh = mesh_level(
-        np.pad(distance, _PADDING, constant_values=-1), 0.0, hull.volume, _PADDING, smoothing
-    )
+    mesh = mesh_level(np.pad(distance, _PADDING, constant_values=-1), 0.0, hull.volume, _PADDING, smoothing)
     vertices = np.asarray(mesh.vertices)
     mesh.vertex_colors = o3d.utility.Vector3dVector(
         blend_colors(oriented.world, oriented.colors, hull.volume.voxel_size, vertices)
     )
     return mesh
+
+
+@dataclass(frozen=True)
+class _OrientedPoints:
+    """Points with all that is known of them."""
+
+    world: NDArray[np.float64]
+    """(n, 3) positions, world units."""
+    normals: NDArray[np.float32]
+    """(n, 3) of unit length, outwards."""
+    confidence: NDArray[np.float32]
+    """(n,) in (0, 1]."""
+    colors: NDArray[np.uint8]
+    """(n, 3)."""
+
+    def __post_init__(self) -> None:
+        n = len(self.world)
+        if not self.world.shape == self.normals.shape == self.colors.shape == (n, 3) or self.confidence.shape != (n,):
+            raise ValueError(
+                f"expected points with positions, normals and colors (n, 3) and confidence (n,), got "
+                f"{self.world.shape}, {self.normals.shape}, {self.colors.shape} and {self.confidence.shape}"
+            )
+        if not np.isfinite(self.world).all():
+            raise ValueError("expected finite positions of points")
+        if not (np.abs(np.linalg.norm(self.normals, axis=1) - 1) < 1e-2).all():
+            raise ValueError("expected normals of unit length at all points")
+        if not ((self.confidence > 0) & (self.confidence <= 1)).all():
+            raise ValueError("expected confidences of points in (0, 1]")
+
+    @classmethod
+    def read(cls, cloud: o3d.t.geometry.PointCloud) -> _OrientedPoints:
+        """From an Open3D tensor point cloud."""
+        missing = [name for name in ("positions", "normals", "confidence", "colors") if name not in cloud.point]
+        if missing:
+            raise ValueError(f"expected points with positions, normals, confidence and colors, got no {missing[0]}")
+        given = {name: cloud.point[name].cpu().numpy() for name in ("positions", "normals", "confidence", "colors")}
+        colors, confidence = given["colors"], given["confidence"].astype(np.float32)
+        if colors.dtype != np.uint8:
+            colors = np.rint(255 * np.clip(colors, 0, 1)).astype(np.uint8)
+        return cls(
+            given["positions"].astype(np.float64),
+            given["normals"].astype(np.float32),
+            confidence[:, 0] if confidence.ndim == 2 and confidence.shape[1] == 1 else confidence,
+            colors,
+        )
+
+    def on_lattice(self, volume: CarvingVolume) -> NDArray[np.float64]:
+        """(n, 3) positions in a volume's voxels, whose centres lie at integers."""
+        return np.asarray((self.world - volume.origin) / volume.voxel_size - 0.5)
+
+    def inside(self, volume: CarvingVolume, mask: NDArray[np.bool_]) -> _OrientedPoints:
+        """Those in a mask (nx, ny, nz) of a volume's voxels."""
+        nearest = np.rint(self.on_lattice(volume)).astype(np.int64)
+        kept = np.asarray(((nearest >= 0) & (nearest < volume.shape)).all(axis=1))
+        kept[kept] = mask[tuple(nearest[kept].T)]
+        if not kept.any():
+            raise EmptyReconstructionError(f"none of {len(kept):,} points lies in the hull: are both in one frame?")
+        return _OrientedPoints(self.world[kept], self.normals[kept], self.confidence[kept], self.colors[kept])
+
+
+def _votes(
+    points: _OrientedPoints, volume: CarvingVolume, spread: float
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Support of voxels (nx, ny, nz), about 1 at the surface, and mean distance behind the points' planes, voxels."""
+    lattice = points.on_lattice(volume)
+    support, behind = np.zeros(volume.shape, np.float32), np.zeros(volume.shape, np.float32)
+    radius = int(np.ceil(2.5 * spread))
+    splat_planes(lattice.astype(np.float32), points.normals, points.confidence, spread, radius, support, behind)
+    np.divide(behind, support, out=behind, where=support > 0)
+    holding = np.unique(np.ravel_multi_index(tuple(np.rint(lattice).astype(np.int64).T), volume.shape))
+    return support / np.median(support.ravel()[holding]), behind
+
+
+def _cut(nodes: NDArray[np.bool_], passage: NDArray[np.float32], terminal: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """(nx, ny, nz) the solid voxels of the minimum cut, all others than the nodes being empty.
+
+    Parameters
+    ----------
+    nodes : (nx, ny, nz) voxels that may be solid.
+    passage : (nx, ny, nz) in (0, 1]; a face between two voxels costs the product of theirs.
+    terminal : (nx, ny, nz) what a voxel costs when it is empty; negative: when it is solid.
+    """
+    index = np.full(np.array(nodes.shape) + 2, -1, np.int32)
+    n = int(np.count_nonzero(nodes))
+    index[1:-1, 1:-1, 1:-1][nodes] = np.arange(n, dtype=np.int32)
+    at = np.argwhere(nodes) + 1
+    neighbours = np.column_stack([index[tuple((at + offset).T)] for offset in _OFFSETS])
+    outer = neighbours < 0
+    own = passage[nodes][:, None]
+    faces = _FACE * own * np.where(outer, own, own[neighbours, 0])
+    # A face to what is empty for certain is a cost of being solid.
+    rest = terminal[nodes] - np.where(outer, faces, 0).sum(axis=1)
+    tree = np.empty(n, np.uint8)
+    min_cut(neighbours, _whole(np.where(outer, 0, faces)), _whole(rest), tree)
+    occupied = np.zeros(nodes.shape, np.bool_)
+    occupied[nodes] = tree != SINK
+    return occupied
+
+
+def _whole(costs: NDArray[np.floating]) -> NDArray[np.int32]:
+    """Costs in whole numbers of the cut's unit."""
+    return np.asarray(np.rint(_UNIT * costs), np.int32)
+
+
+def _surface_distance(
+    occupied: NDArray[np.bool_], hull: PhotoHull, support: NDArray[np.float32], behind: NDArray[np.float32]
+) -> NDArray[np.float32]:
+    """(nx, ny, nz) signed distance in voxels near the surface: the points', the hull's or the smoothed cut's."""
+    blurred = gaussian_filter(np.pad(occupied, _PADDING).astype(np.float32), 1.0)[(slice(_PADDING, -_PADDING),) * 3]
+    smooth = np.sqrt(2 * np.pi) * (blurred - 0.5)  # a plane's, which a Gaussian of one voxel blurred
+    if hull.distance is not None:
+        outline = hull.distance / hull.volume.voxel_size
+        smooth = np.where((np.abs(outline) < 1) & ((outline > 0) == occupied), outline, smooth)
+    distance = (support * behind + _PRIOR * smooth) / (support + _PRIOR)
+    return np.asarray(np.where(occupied, np.maximum(distance, _SHARP), np.minimum(distance, -_SHARP)), np.float32)
