@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import open3d as o3d
 from numpy.typing import NDArray
-from scipy.ndimage import binary_dilation, binary_fill_holes, gaussian_filter
+from scipy.ndimage import binary_dilation, binary_fill_holes, gaussian_filter, generate_binary_structure
 
 from recon3d.carving import PhotoHull
 from recon3d.errors import EmptyReconstructionError
@@ -18,9 +18,10 @@ from recon3d.volume import CarvingVolume
 
 _OFFSETS = np.array([(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)])  # d ^ 1 leads back from d
 _FACE = 2 / 3  # so that the lattice's areas are right on average over all directions (Boykov, Kolmogorov 2003)
+_ROUND = generate_binary_structure(3, 2)  # face and edge neighbours, whose repeated dilation is nearly a ball
 _UNIT = 1000  # the cut's whole numbers in the cost of a face that no point lies near
 _DOUBT = 0.1  # support that counts half
-_PRIOR = 0.03  # weight of the cut's own smooth surface beside the points'
+_PRIOR = 0.1  # weight of the cut's own smooth surface beside the points'
 _OUTSIDE = 0.2  # cost of a voxel in the margin around the hull
 _SHARP = 0.02  # voxels that the surface keeps from voxel centres
 _PADDING = 2  # empty voxels around the volume, so that the surface closes
@@ -31,7 +32,7 @@ def graph_cut(
     hull: PhotoHull,
     *,
     attraction: float = 2.0,
-    evidence: float = 2.0,
+    evidence: float = 1.5,
     ballooning: float = 0.01,
     spread: float = 0.7,
     margin: int = 2,
@@ -82,7 +83,7 @@ def graph_cut(
             f"{attraction}, {ballooning}, {margin}, {evidence} and {spread}"
         )
     solid = hull.solid.occupied
-    nodes = binary_dilation(solid, iterations=margin) if margin else solid
+    nodes = binary_dilation(solid, _ROUND, iterations=margin) if margin else solid
     oriented = _OrientedPoints.read(points).inside(hull.volume, nodes)
     support, behind = _votes(oriented, hull.volume, spread)
     terminal = np.where(solid, ballooning, -_OUTSIDE) + evidence * support / (support + _DOUBT) * np.clip(behind, -1, 1)
