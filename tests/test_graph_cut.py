@@ -268,8 +268,18 @@ def test_attributes_out_of_range_are_refused(name: str, value: NDArray[np.float6
 
 
 @pytest.mark.parametrize(
-    "options", [{"attraction": -1}, {"evidence": 0}, {"ballooning": np.nan}, {"spread": 0}, {"margin": -1}]
+    ("options", "message"),
+    [
+        ({"attraction": -1}, "expected attraction"),
+        ({"attraction": np.inf}, "expected attraction"),
+        ({"spread": 0}, "expected attraction"),
+        ({"margin": -1}, "expected attraction"),
+        ({"evidence": 0}, "expected evidence"),
+        ({"evidence": 1e6}, "expected evidence"),
+        ({"ballooning": np.nan}, "expected evidence"),
+        ({"ballooning": -1}, "expected evidence"),
+    ],
 )
-def test_arguments_out_of_range_are_refused(options: dict[str, float]) -> None:
-    with pytest.raises(ValueError, match="expected attraction, ballooning and margin >= 0"):
+def test_arguments_out_of_range_are_refused(options: dict[str, float], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
         graph_cut(ball_points(), ball_hull(18), **options)  # type: ignore[arg-type]

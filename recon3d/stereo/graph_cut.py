@@ -20,6 +20,7 @@ _OFFSETS = np.array([(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0
 _FACE = 2 / 3  # so that the lattice's areas are right on average over all directions (Boykov, Kolmogorov 2003)
 _ROUND = generate_binary_structure(3, 2)  # face and edge neighbours, whose repeated dilation is nearly a ball
 _UNIT = 1000  # the cut's whole numbers in the cost of a face that no point lies near
+_DEAREST = 100_000  # faces that a voxel may cost, so that whole numbers do not overflow
 _DOUBT = 0.1  # support that counts half
 _PRIOR = 0.1  # weight of the cut's own smooth surface beside the points'
 _OUTSIDE = 0.2  # cost of a voxel in the margin around the hull
@@ -77,10 +78,11 @@ def graph_cut(
     visibility for multi-view stereo", CVPR 2007 (evidence for empty and solid). Boykov, Kolmogorov, "Computing
     geodesics and minimal surfaces via graph cuts", ICCV 2003 (areas on a lattice).
     """
-    if not (attraction >= 0 and evidence > 0 and ballooning >= 0 and spread > 0 and margin >= 0):
+    if not (0 <= attraction < np.inf and 0 < spread < np.inf and margin >= 0):
+        raise ValueError(f"expected attraction and margin >= 0 and spread > 0, got {attraction}, {margin} and {spread}")
+    if not (0 < evidence <= _DEAREST and 0 <= ballooning <= _DEAREST):
         raise ValueError(
-            "expected attraction, ballooning and margin >= 0, evidence and spread > 0, got "
-            f"{attraction}, {ballooning}, {margin}, {evidence} and {spread}"
+            f"expected evidence in (0, {_DEAREST}] and ballooning in [0, {_DEAREST}], got {evidence} and {ballooning}"
         )
     solid = hull.solid.occupied
     nodes = binary_dilation(solid, _ROUND, iterations=margin) if margin else solid
