@@ -74,6 +74,7 @@ from .silhouettes import (
     without_silhouettes,
 )
 from .sparse import SparseVolume
+from .stereo.graph_cut import graph_cut
 from .surface import mesh_sparse, mesh_volume, surface_points
 from .trials import Trial
 from .volume import CarvingVolume
@@ -125,6 +126,7 @@ __all__ = [
     "fine_generalized_voxel_coloring",
     "fine_visual_hull",
     "generalized_voxel_coloring",
+    "graph_cut",
     "largest_admissible_views",
     "little_temple",
     "load_test",

@@ -52,14 +52,25 @@ def mesh_volume(
     occupied = np.pad(volume.occupied, _PADDING)
     if distance is not None:
         distance = np.pad(distance, _PADDING, constant_values=-volume.voxel_size)
-    vertices, faces, _, _ = marching_cubes(
-        _level_field(occupied, distance, volume.voxel_size), 0.5, gradient_direction="ascent"
-    )
-    # A voxel's index is its centre in marching cubes, its lowest corner in a volume.
-    mesh = _smooth_mesh(volume.origin + (vertices - _PADDING + 0.5) * volume.voxel_size, faces, smoothing)
+    mesh = mesh_level(_level_field(occupied, distance, volume.voxel_size), 0.5, volume, _PADDING, smoothing)
     colors = nearest_colors(colors_from or volume, np.asarray(mesh.vertices))
     mesh.vertex_colors = o3d.utility.Vector3dVector(colors)
     return mesh
+
+
+def mesh_level(
+    field: NDArray[np.float32], level: float, volume: CarvingVolume, padding: int, smoothing: int
+) -> o3d.geometry.TriangleMesh:
+    """Uncoloured mesh of a field's level set, normals to where it is lower; closed where the field's border is lower.
+
+    Parameters
+    ----------
+    field : (nx + 2 padding, ny + 2 padding, nz + 2 padding) at the centres of a volume's voxels and of some around it.
+    smoothing : pairs of Taubin steps.
+    """
+    vertices, faces, _, _ = marching_cubes(field, level, gradient_direction="ascent")
+    # A voxel's index is its centre in marching cubes, its lowest corner in a volume.
+    return _smooth_mesh(volume.origin + (vertices - padding + 0.5) * volume.voxel_size, faces, smoothing)
 
 
 def mesh_sparse(volume: SparseVolume, *, smoothing: int = 5) -> o3d.geometry.TriangleMesh:
@@ -90,7 +101,7 @@ def mesh_sparse(volume: SparseVolume, *, smoothing: int = 5) -> o3d.geometry.Tri
     mesh = _smooth_mesh(np.concatenate(vertices)[first], welded[np.concatenate(faces)], smoothing)
     lenders = volume.visible if volume.visible.any() else volume.surface()
     mesh.vertex_colors = o3d.utility.Vector3dVector(
-        _blend(volume.centers(lenders), volume.colors[lenders], volume.voxel_size, np.asarray(mesh.vertices))
+        blend_colors(volume.centers(lenders), volume.colors[lenders], volume.voxel_size, np.asarray(mesh.vertices))
     )
     return mesh
 
@@ -176,17 +187,17 @@ def surface_points(volume: CarvingVolume, *, solid: CarvingVolume | None = None)
 
 def nearest_colors(volume: CarvingVolume, points: NDArray[np.float64], neighbours: int = 8) -> NDArray[np.float64]:
     """(n, 3) colours in [0, 1] at world points (n, 3): mean of the nearest occupied voxels', by inverse distance."""
-    return _blend(volume.centers(), volume.colors[volume.occupied], volume.voxel_size, points, neighbours)
+    return blend_colors(volume.centers(), volume.colors[volume.occupied], volume.voxel_size, points, neighbours)
 
 
-def _blend(
+def blend_colors(
     centers: NDArray[np.float64],
     colors: NDArray[np.uint8],
     voxel_size: float,
     points: NDArray[np.float64],
     neighbours: int = 8,
 ) -> NDArray[np.float64]:
-    """Colours at points from those of the nearest voxels, many points at a time."""
+    """(n, 3) colours in [0, 1] at world points (n, 3): mean of the nearest centres' (m, 3), by inverse distance."""
     tree = cKDTree(centers)
     count = min(neighbours, len(centers))
     blended = np.empty((len(points), 3))
