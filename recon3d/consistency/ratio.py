@@ -104,9 +104,9 @@ class OutlierRejection:
     in Barhoumi et al., 2013, section 2.
     """
 
-    sigma0: float = 40.0
-    """Deviation of a pixel's channel from the colour of the voxel, grey levels; texture included. Below the default of
-    ``LikelihoodRatio``, since here the worst views do not count."""
+    sigma0: float = 25.0
+    """Deviation of a pixel's channel from the colour of the voxel, grey levels; texture included. Chosen by
+    ``scripts/tune_tests.py``; below the default of ``LikelihoodRatio``, since here the worst views do not count."""
     p: float = 0.05
     """Share of true surface that the ratio may refuse."""
     quorum: float = 0.5
