@@ -9,10 +9,10 @@ runs/, and taken up again when the script is started once more with the same dat
 import math
 import os
 import platform
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import cv2
 import numpy as np
@@ -49,7 +49,8 @@ class Book:
     def picture(self, name: str, image: NDArray[np.uint8], caption: str, *, width: int = 240) -> tuple[str, str]:
         """Write a picture, scaled; returns its file name and caption."""
         size = (width, max(1, round(image.shape[0] * width / image.shape[1])))
-        write_image(self.folder / "pictures" / f"{name}.png", np.asarray(cv2.resize(image, size, cv2.INTER_AREA)))
+        small = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
+        write_image(self.folder / "pictures" / f"{name}.png", small)
         return f"pictures/{name}.png", caption
 
     def figure(self, name: str, figure: Figure, caption: str) -> tuple[str, str]:
@@ -200,7 +201,6 @@ def table_1(book: Book, sets: Sequence[DataSet], label: str) -> None:
 
 def tried(book: Book, data: DataSet) -> None:
     """What was changed to come nearer to the paper's figures."""
-    fuzzy: Callable[..., Any] = recon3d.FuzzyAdaptiveHysteresis
     results = [
         data.proposed(),
         data.run("silhouettes by threshold", silhouettes="threshold"),
@@ -208,8 +208,8 @@ def tried(book: Book, data: DataSet) -> None:
         data.run("voxel by voxel, no layers", method_options={"layering": "voxels"}),
         data.run("6 neighbours", method_options={"connectivity": 6}),
         data.run("18 neighbours", method_options={"connectivity": 18}),
-        data.run("degree of the worst channel", test=fuzzy(intensity="channels")),
-        data.run("quartiles for deciles", test=fuzzy(trim=0.25)),
+        data.run("degree of the worst channel", test=recon3d.FuzzyAdaptiveHysteresis(intensity="channels")),
+        data.run("quartiles for deciles", test=recon3d.FuzzyAdaptiveHysteresis(trim=0.25)),
         *(one_threshold(data, value) for value in SINGLE),
         data.run("a third of the voxels", n_voxels=data.n_voxels // 3),
         data.run("three times the voxels", n_voxels=3 * data.n_voxels),

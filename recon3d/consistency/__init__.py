@@ -2,7 +2,7 @@
 
 Where no paper gives a parameter's value, its default was chosen by ``scripts/tune_tests.py`` on the views of
 Middlebury's templeRing that templeSparseRing does not hold, and on the built-in temple: never on photographs that
-figures are reported on. Eight views far apart ask for wide thresholds; for views close together take narrower ones.
+figures are reported on. Real photographs far apart ask for wide thresholds, the built-in ones for narrow ones.
 """
 
 from collections.abc import Callable

@@ -33,8 +33,8 @@ class Minkowski:
     """Of the difference of two colours."""
     threshold: float | None = None
     """T in the norm's own units, colours 0 to 255; None: 240 for L1, 120 for L2, 90 for the maximum, chosen by
-    ``scripts/tune_tests.py``. A third of those suits views close together, but of eight photographs all around one side
-    of a real object it leaves next to nothing."""
+    ``scripts/tune_tests.py``. A third of those is best for the built-in temple alone, but leaves next to nothing of
+    eight photographs of a real one."""
 
     def __post_init__(self) -> None:
         if self.norm not in _ORDERS:
