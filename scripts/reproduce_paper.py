@@ -107,8 +107,8 @@ def figure_2(book: Book, data: DataSet) -> None:
         axes[3].plot(n_views, alternating_harmonic(2 * n_views + offset), "o-", label=name)
     axes[3].axhline(math.log(2), color="grey", linestyle=":", label="log 2")
     axes[3].set(title="thresholds (eq. 9)", xlabel="N")
-    for axis in axes:
-        axis.legend()
+    for axis in (axes[0], axes[3]):
+        axis.legend(loc="lower right")
     fifths = np.array_split(rows, 5)
     trends = ("falls", "rises", "rises")
     table = [("", "the paper", "mean of the first fifth", "mean of the last fifth")]
