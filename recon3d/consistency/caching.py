@@ -34,9 +34,8 @@ class ColorCaching:
     """
 
     threshold: float = 30.0
-    """T1, distance in RGB (0 to 441) that any two views may have. The defaults suit the Middlebury temple's eight views
-    at a million voxels."""
-    neighbour_threshold: float = 15.0
+    """T1, distance in RGB (0 to 441) that any two views may have. Chosen by ``scripts/tune_tests.py``, as is T2."""
+    neighbour_threshold: float = 20.0
     """T2, distance that angular neighbours may have."""
 
     needs_directions: ClassVar[bool] = True

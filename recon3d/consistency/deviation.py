@@ -23,7 +23,7 @@ class StandardDeviation:
     """
 
     threshold: float = 30.0
-    """T, in grey levels of 0 to 255."""
+    """T, in grey levels of 0 to 255. Chosen by ``scripts/tune_tests.py``."""
 
     def __post_init__(self) -> None:
         if not 0 <= self.threshold <= _LARGEST_DEVIATION:
@@ -53,9 +53,9 @@ class Variance:
     the summary in Barhoumi et al., 2013, section 2.
     """
 
-    sigma0: float = 25.0
-    """Deviation of a channel that the pixels of one surface voxel may have, grey levels; texture included. The default
-    is a compromise between the Middlebury temple, eight views far apart at a million voxels, and the built-in one."""
+    sigma0: float = 30.0
+    """Deviation of a channel that the pixels of one surface voxel may have, grey levels; texture included. Chosen by
+    ``scripts/tune_tests.py``."""
     p: float = 0.05
     """Share of true surface that may be refused."""
 

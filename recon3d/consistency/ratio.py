@@ -32,8 +32,8 @@ class LikelihoodRatio:
     """
 
     sigma0: float = 60.0
-    """Deviation of a pixel's channel from the colour of the voxel, grey levels; texture included. The default is a
-    compromise between the Middlebury temple, eight views far apart at a million voxels, and the built-in one."""
+    """Deviation of a pixel's channel from the colour of the voxel, grey levels; texture included. Chosen by
+    ``scripts/tune_tests.py``."""
     p: float = 0.05
     """Share of true surface that may be refused."""
 
@@ -67,10 +67,10 @@ class FTest:
 
     p: float = 0.05
     """Share of true surface that may be refused."""
-    floor: float = 50.0
-    """Smallest deviation within a view that is believed, grey levels. Views far apart differ by more than noise: on the
-    Middlebury temple's eight, at a million voxels, the plain F test (floor 1) leaves next to nothing, and the default
-    often decides alone."""
+    floor: float = 60.0
+    """Smallest deviation within a view that is believed, grey levels. Chosen by ``scripts/tune_tests.py``: views far
+    apart differ by more than noise, the plain F test (floor 1) leaves next to nothing, and the default often decides
+    alone."""
 
     def __post_init__(self) -> None:
         require_probability(self.p)
@@ -104,9 +104,9 @@ class OutlierRejection:
     in Barhoumi et al., 2013, section 2.
     """
 
-    sigma0: float = 40.0
-    """Deviation of a pixel's channel from the colour of the voxel, grey levels; texture included. Below the default of
-    ``LikelihoodRatio``, since here the worst views do not count."""
+    sigma0: float = 25.0
+    """Deviation of a pixel's channel from the colour of the voxel, grey levels; texture included. Chosen by
+    ``scripts/tune_tests.py``; below the default of ``LikelihoodRatio``, since here the worst views do not count."""
     p: float = 0.05
     """Share of true surface that the ratio may refuse."""
     quorum: float = 0.5
