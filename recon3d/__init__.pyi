@@ -39,6 +39,7 @@ from .evaluation import Evaluation, error_map, evaluate, triangles_near
 from .explanation import Explanation, explain
 from .figures import plot_evaluation, save_evaluation, show_mesh
 from .io import (
+    StageFolder,
     open_scene,
     read_geometry,
     read_mesh,
@@ -74,7 +75,7 @@ from .silhouettes import (
     without_silhouettes,
 )
 from .sparse import SparseVolume
-from .stereo.graph_cut import graph_cut
+from .stereo import Matching, graph_cut, mesh_points, sharpen, sharpen_hull
 from .surface import mesh_sparse, mesh_volume, surface_points
 from .trials import Trial
 from .volume import CarvingVolume
@@ -94,6 +95,7 @@ __all__ = [
     "FuzzyAdaptiveHysteresis",
     "Hysteresis",
     "Label",
+    "Matching",
     "Mending",
     "Patches",
     "PhotoHull",
@@ -108,6 +110,7 @@ __all__ = [
     "Settings",
     "ShapeQuality",
     "SparseVolume",
+    "StageFolder",
     "StandardDeviation",
     "Trial",
     "Verdict",
@@ -133,6 +136,7 @@ __all__ = [
     "make_bounds",
     "measure_quality",
     "mend_mesh",
+    "mesh_points",
     "mesh_sparse",
     "mesh_volume",
     "open_scene",
@@ -148,6 +152,8 @@ __all__ = [
     "save_evaluation",
     "save_pictures",
     "seeing_views",
+    "sharpen",
+    "sharpen_hull",
     "show_mesh",
     "space_carving",
     "surface_points",

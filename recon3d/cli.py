@@ -43,6 +43,21 @@ app = typer.Typer(
 )
 
 
+class Quality(StrEnum):
+    """Of the mesh."""
+
+    auto = "auto"
+    carve = "carve"
+    sharp = "sharp"
+
+
+class Surface(StrEnum):
+    """Ways from points to a mesh."""
+
+    poisson = "poisson"
+    graph_cut = "graph-cut"
+
+
 class MeshFormat(StrEnum):
     """File formats of a mesh."""
 
@@ -168,8 +183,12 @@ def reconstruct(
     views: ViewsOption = "auto",
     max_views: Annotated[int | None, typer.Option(help="With --views auto: at most so many.")] = None,
     fill_hidden: Annotated[bool, typer.Option("--fill-hidden", help="Mesh what lies hidden, too: solid.")] = False,
-    keep_unseen: Annotated[
-        bool, typer.Option(help="Keep surface that no view sees, such as the underside, so that the mesh is closed.")
+    quality: Annotated[
+        Quality, typer.Option(help="Mesh of the voxels, or of points matched inside them [auto: sharp with auto].")
+    ] = Quality.auto,
+    surface: Annotated[Surface, typer.Option(help="How a sharp mesh is made of its points.")] = Surface.poisson,
+    keep_unsupported: Annotated[
+        bool, typer.Option(help="Keep surface that nothing was measured of, the hull's, so that the mesh is closed.")
     ] = True,
     bounds: BoundsOption = None,
     silhouettes: SilhouettesOption = "auto",
@@ -192,12 +211,14 @@ def reconstruct(
         views=views_of(views),
         max_views=max_views,
         fill_hidden=fill_hidden,
-        keep_unseen=keep_unseen,
+        quality=quality.value,
+        surface=surface.value,
+        keep_unsupported=keep_unsupported,
     )
     truth = read_mesh(ground_truth) if ground_truth else None
     loaded = load(scene, bounds, silhouettes, mm_per_unit)
     folder = writable(output or Path("recon3d-output") / loaded.name)
-    result = run(loaded, settings, truth)
+    result = run(loaded, settings, truth, folder / "stages")
     written = save(result, folder, [name.value for name in mesh_format or [MeshFormat.ply]], pictures=pictures)
     say(result.summary())
     say(written)

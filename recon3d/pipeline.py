@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import platform
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -22,13 +23,17 @@ from recon3d.errors import DataError
 from recon3d.evaluation import Evaluation, error_map, evaluate, triangles_near
 from recon3d.html import Summarised
 from recon3d.io.files import MESH_SUFFIXES, read_geometry, read_mesh, write_geometry, write_image, write_json
+from recon3d.io.stages import StageFolder
 from recon3d.mending import Mending, drop_specks, mend_mesh
 from recon3d.quality import Quality, measure_quality
-from recon3d.rendering import Renderer, comparison_sheet, turntable, without_unseen
+from recon3d.rendering import Renderer, comparison_sheet, keep_vertices, turntable, without_unseen
 from recon3d.scene import Scene
 from recon3d.settings import Settings, choose_views
+from recon3d.stereo import Stages, mesh_points, near_points, sharpen_hull
 from recon3d.surface import mesh_volume, surface_points
 from recon3d.volume import CarvingVolume
+
+_SPACING = 1.5  # of a sharp surface's finest detail, pixel footprints
 
 Progress = Callable[[str, int, int], None]
 """Called with a stage's name, the steps of it that are done, and how many there are."""
@@ -42,13 +47,16 @@ class Reconstruction(Summarised):
     """With the views that were used."""
     settings: Settings
     hull: PhotoHull
+    """What carving left; of a sharp result, after the depths found carved it once more."""
     points: o3d.geometry.PointCloud
-    """Coloured centres of the surface voxels with outward normals."""
+    """Coloured, with outward normals: the centres of the surface voxels, or the points that dense matching found."""
+    confidence: NDArray[np.float64] | None
+    """(n_points,) of matched points, in (0, 1); None of voxels."""
     mesh: o3d.geometry.TriangleMesh
-    """Smooth, coloured from the views; closed unless what is unseen was left out."""
+    """Smooth, coloured from the views; closed unless what is unsupported was left out."""
     support: NDArray[np.int64]
-    """(n_vertices,) how many views see each vertex of the mesh. One view alone, or none, cannot measure the surface:
-    there it is closed by the hull."""
+    """(n_vertices,) how many views see each vertex of the mesh; of a sharp mesh 0 where no point lies near it. Where
+    it is 0, the hull closes the mesh."""
     mending: Mending
     """What was wrong with the mesh before."""
     timings: dict[str, float]
@@ -85,7 +93,7 @@ class Reconstruction(Summarised):
             f"mesh ({name})": write_geometry(folder / f"mesh.{name}", self.mesh, support=self.support)
             for name in mesh_formats
         }
-        written["points"] = write_geometry(folder / "points.ply", self.points)
+        written["points"] = write_geometry(folder / "points.ply", self.points, confidence=self.confidence)
         written["voxel grid"] = write_geometry(folder / "voxels.ply", self.hull.volume.to_voxel_grid())
         if pictures:
             written |= save_pictures(self.mesh, self.scene, folder)
@@ -127,11 +135,11 @@ class Reconstruction(Summarised):
         """Table of the run."""
         volume = self.hull.volume
         mm = volume.voxel_size * self.scene.mm_per_unit
-        measured = float((self.support > 1).mean())
+        supported = float((self.support > 0).mean())
         return {
             "scene": f"{self.scene.name}, {len(self.scene.views)} views",
             "voxels": f"{volume.occupied.size:,} of {mm:.3g} mm, {volume.n_occupied:,} accepted",
-            "mesh": f"{len(self.mesh.triangles):,} triangles, {measured:.0%} of its vertices seen by two views or more",
+            "mesh": f"{len(self.mesh.triangles):,} triangles, {supported:.0%} of them measured, the rest the hull's",
             **({"mended": str(self.mending)} if str(self.mending) else {}),
             "time": ", ".join(f"{name} {seconds:.2f} s" for name, seconds in self.timings.items()),
             **self.quality.summary(),
@@ -148,9 +156,15 @@ def reconstruct(
     settings: Settings | None = None,
     *,
     ground_truth: o3d.geometry.TriangleMesh | None = None,
+    stages: Stages | None = None,
     progress: Progress | None = None,
 ) -> Reconstruction:
-    """Carve, mesh, measure by the photographs and, given one in the scene's frame, by a ground truth.
+    """Carve, match, mesh, measure by the photographs and, given one in the scene's frame, by a ground truth.
+
+    Parameters
+    ----------
+    stages : what an interrupted run finished is taken from here, and what this one finishes is put here; of the same
+        scene and settings, see ``recon3d.io.StageFolder``.
 
     Raises
     ------
@@ -166,23 +180,33 @@ def reconstruct(
         scene = choose_views(scene, settings)
     with _timed(timings, "carving"):
         volume = CarvingVolume.enclosing(scene.bounds, voxel_size=settings.voxel_size, n_voxels=settings.n_voxels)
-        hull = carve(scene, volume, settings, progress=lambda done, total: report("carving", done, total))
+        hull = _carved(scene, volume, settings, stages, lambda done, total: report("carving", done, total))
+    sharp = None
+    if settings.quality == "sharp":
+        with _timed(timings, "matching"):
+            sharp, hull = sharpen_hull(
+                scene, hull, stages=stages, progress=lambda done, total: report("matching", done, total)
+            )
     with _timed(timings, "surface"):
         report("surface", 0, 3)
-        points = surface_points(hull.volume, solid=hull.solid)
+        spacing = _SPACING * scene.pixel_footprint
+        if sharp:
+            mesh = mesh_points(sharp, hull, surface=settings.surface, spacing=spacing)
+        else:
+            mesh = _carved_mesh(hull, settings)
         report("surface", 1, 3)
-        shell = METHODS[settings.method].one_sided and not settings.fill_hidden
-        mesh = mesh_volume(
-            hull.volume if shell else hull.solid,
-            distance=hull.distance,
-            smoothing=settings.smoothing,
-        )
         mesh, specks = drop_specks(mesh, settings.min_piece * volume.voxel_size**2)
-        if not settings.keep_unseen:
+        if not settings.keep_unsupported:
             mesh = without_unseen(mesh, scene)
+            if sharp:
+                mesh = keep_vertices(mesh, near_points(np.asarray(mesh.vertices), sharp, spacing))
         mesh, mending = mend_mesh(mesh)
         report("surface", 2, 3)
         mesh, support = color_from_views(mesh, scene)
+        if sharp:
+            support[~near_points(np.asarray(mesh.vertices), sharp, spacing)] = 0
+        points = sharp.to_legacy() if sharp else surface_points(hull.volume, solid=hull.solid)
+        confidence = sharp.point.confidence.numpy().ravel() if sharp else None
         report("surface", 3, 3)
     with _timed(timings, "quality"):
         report("quality", 0, 1)
@@ -194,9 +218,45 @@ def reconstruct(
             report("evaluation", 0, 1)
             evaluation = evaluate(mesh, ground_truth, mm_per_unit=scene.mm_per_unit)
             report("evaluation", 1, 1)
+    mending = replace(mending, specks=specks)
     return Reconstruction(
-        scene, settings, hull, points, mesh, support, replace(mending, specks=specks), timings, quality, evaluation
+        scene, settings, hull, points, confidence, mesh, support, mending, timings, quality, evaluation
     )
+
+
+def keep_stages(folder: Path | str, scene: Scene, settings: Settings) -> StageFolder | None:
+    """Stages of a run in a folder, for ``reconstruct``; None where a photo-consistency test decides.
+
+    A test may be a user's own and change without a trace; carving by one is done again.
+    """
+    settings = settings.resolved(scene)
+    if settings.test is not None:
+        return None
+    chosen = ("n_voxels", "voxel_size", "method", "method_options", "views", "max_views")
+    told = {name: value for name, value in settings.record().items() if name in chosen}
+    return StageFolder(folder, f"{__version__} {scene.fingerprint()} {json.dumps(told, sort_keys=True)}")
+
+
+def _carved(
+    scene: Scene,
+    volume: CarvingVolume,
+    settings: Settings,
+    stages: Stages | None,
+    progress: Callable[[int, int], None],
+) -> PhotoHull:
+    """The carved volume, if need be."""
+    if stages is not None and "carving" in stages:
+        return PhotoHull.from_arrays(volume, stages["carving"])
+    hull = carve(scene, volume, settings, progress=progress)
+    if stages is not None:
+        stages["carving"] = hull.arrays()
+    return hull
+
+
+def _carved_mesh(hull: PhotoHull, settings: Settings) -> o3d.geometry.TriangleMesh:
+    """Mesh of the accepted voxels, or of all that is solid."""
+    shell = METHODS[settings.method].one_sided and not settings.fill_hidden
+    return mesh_volume(hull.volume if shell else hull.solid, distance=hull.distance, smoothing=settings.smoothing)
 
 
 def carve(scene: Scene, volume: CarvingVolume, settings: Settings, **callbacks: Any) -> PhotoHull:

@@ -127,6 +127,14 @@ def count_seeing_views(mesh: o3d.geometry.TriangleMesh, scene: Scene) -> NDArray
     return np.asarray(seeing_views(mesh, scene).sum(axis=0))
 
 
+def keep_vertices(mesh: o3d.geometry.TriangleMesh, kept: NDArray[np.bool_]) -> o3d.geometry.TriangleMesh:
+    """The triangles whose vertices (n_vertices,) are all kept."""
+    part = o3d.geometry.TriangleMesh(mesh)
+    part.remove_triangles_by_mask(~kept[np.asarray(mesh.triangles)].all(axis=1))
+    part.remove_unreferenced_vertices()
+    return part
+
+
 def without_unseen(mesh: o3d.geometry.TriangleMesh, scene: Scene) -> o3d.geometry.TriangleMesh:
     """The part of a mesh that some view sees: open where nobody looked, such as underneath.
 
@@ -135,9 +143,7 @@ def without_unseen(mesh: o3d.geometry.TriangleMesh, scene: Scene) -> o3d.geometr
     EmptyReconstructionError : no view sees any of it.
     """
     seen = count_seeing_views(mesh, scene) > 0
-    part = o3d.geometry.TriangleMesh(mesh)
-    part.remove_triangles_by_mask(~seen[np.asarray(mesh.triangles)].all(axis=1))
-    part.remove_unreferenced_vertices()
+    part = keep_vertices(mesh, seen)
     if not part.has_triangles():
         raise EmptyReconstructionError(f"scene {scene.name}: no view sees any of the surface")
     return part

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fnmatch
+import hashlib
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from itertools import product
@@ -241,6 +242,15 @@ class Scene(Summarised):
                 raise SceneError(f"scene {self.name} has no view {name}; it has {', '.join(known)}")
             chosen.update(found)
         return replace(self, views=tuple(view for view in self.views if view.name in chosen))
+
+    def fingerprint(self) -> str:
+        """Text that two scenes share only where views, silhouettes, bounds and unit are the same, to the last bit."""
+        digest = hashlib.sha256()
+        for view in self.views:
+            silhouette = b"" if view.silhouette is None else view.silhouette.tobytes()
+            digest.update(view.name.encode() + view.projection.tobytes() + view.image.tobytes() + silhouette)
+        digest.update(np.array([*self.bounds.min_bound, *self.bounds.max_bound, self.mm_per_unit]).tobytes())
+        return digest.hexdigest()
 
     @property
     def centers(self) -> NDArray[np.float64]:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from functools import partial
 from inspect import Parameter, isfunction, signature
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from recon3d.consistency import TESTS, ConsistencyTest, FuzzyAdaptiveHysteresis,
 from recon3d.consistency.loading import LoadedTest
 from recon3d.errors import DataError
 from recon3d.scene import Scene
+from recon3d.stereo import Surface
 
 _CALLBACKS = ("progress", "observer")  # keywords of methods that are no options
 _ACCEPTED = {int: (int, np.integer), float: (int, float, np.integer, np.floating), str: (str,)}
@@ -45,10 +46,16 @@ class Settings:
     """With "auto": use at most so many, those farthest apart; the paper uses 8."""
     fill_hidden: bool = False
     """With a one-sided method, mesh what lies hidden behind the accepted voxels, too: solid, but partly guessed."""
-    keep_unseen: bool = True
-    """Keep surface that no view sees, such as the underside, so that the mesh is closed."""
+    quality: Literal["auto", "carve", "sharp"] = "auto"
+    """"carve": the mesh of the voxels; "sharp": of the points that dense matching finds inside them; "auto": sharp
+    where the method is left to choose and silhouettes are known."""
+    surface: Surface = "poisson"
+    """How a sharp mesh is made of its points."""
+    keep_unsupported: bool = True
+    """Keep surface that nothing was measured of, such as the underside that no view sees, so that the mesh is closed:
+    the hull's. A carved surface is supported where a view sees it, a sharp one where two views found it."""
     smoothing: int = 5
-    """Pairs of Taubin steps on the mesh; 0: none."""
+    """Pairs of Taubin steps on a carved mesh; 0: none."""
     min_piece: float = 100.0
     """Area, in faces of a voxel, below which a separate piece of the mesh is a speck and dropped; 100 is the surface
     of four voxels cubed, 0 keeps all."""
@@ -62,6 +69,9 @@ class Settings:
             raise ValueError(f"expected method auto, {', '.join(METHODS)}, got {self.method!r}")
         if isinstance(self.views, str) and self.views not in ("auto", "all"):
             raise ValueError(f"expected views 'auto', 'all' or a tuple of names, got {self.views!r}")
+        for name, known in (("quality", ("auto", "carve", "sharp")), ("surface", get_args(Surface))):
+            if getattr(self, name) not in known:
+                raise ValueError(f"expected {name} {', '.join(known)}, got {getattr(self, name)!r}")
         if self.max_views is not None and self.max_views < 1:
             raise ValueError(f"expected max_views of at least 1, got {self.max_views}")
         if self.smoothing < 0:
@@ -70,7 +80,7 @@ class Settings:
             raise ValueError(f"expected min_piece of 0 or more, got {self.min_piece}")
 
     def resolved(self, scene: Scene) -> Settings:
-        """The same settings with the method and test that "auto" and None mean for a scene.
+        """The same settings with the method, quality and test that "auto" and None mean for a scene.
 
         Raises
         ------
@@ -80,6 +90,9 @@ class Settings:
         if method == "auto":
             known = any(view.silhouette is not None for view in scene.views)
             method = "vote-carving" if known and self.test is None else "generalized-voxel-coloring"
+        quality = self.quality
+        if quality == "auto":
+            quality = "sharp" if self.method == "auto" and method == "vote-carving" else "carve"
         kind = METHODS[method]
         if self.test is not None and not kind.uses_test:
             raise ValueError(f"{method} uses no photo-consistency test, got {self.test!r}")
@@ -96,7 +109,7 @@ class Settings:
                     f"{method} option {parameter.name}: expected a value of type {expected}, got {value!r}"
                 )
         test = self.test or (FuzzyAdaptiveHysteresis() if kind.uses_test else None)
-        return replace(self, method=method, test=test)
+        return replace(self, method=method, quality=quality, test=test)
 
     def record(self) -> dict[str, Any]:
         """Every setting, for a JSON file; a test as its class, or module:name if it is a user's, and its parameters."""

@@ -62,12 +62,15 @@ def photograph(name: str, **options: Any) -> BuiltInScene:
     return built_in
 
 
-def run(scene: Scene, settings: Settings, ground_truth: o3d.geometry.TriangleMesh | None) -> Reconstruction:
-    """Reconstruct under progress bars."""
-    from recon3d.pipeline import reconstruct
+def run(
+    scene: Scene, settings: Settings, ground_truth: o3d.geometry.TriangleMesh | None, stages: Path | None = None
+) -> Reconstruction:
+    """Reconstruct under progress bars, keeping finished stages in a folder where one is given."""
+    from recon3d.pipeline import keep_stages, reconstruct
 
+    kept = None if stages is None else keep_stages(stages, scene, settings)
     with progress() as report:
-        return reconstruct(scene, settings, ground_truth=ground_truth, progress=report)
+        return reconstruct(scene, settings, ground_truth=ground_truth, stages=kept, progress=report)
 
 
 def save(result: Reconstruction, folder: Path, formats: list[str], *, pictures: bool = True) -> dict[str, Path]:

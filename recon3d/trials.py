@@ -162,14 +162,12 @@ class Contest:
     def fingerprint(self) -> str:
         """Text that two contests share only where every test would find the same in both."""
         digest = hashlib.sha256(json.dumps(self.record(), sort_keys=True, default=str).encode())
-        for view in (*self.used.views, *self.left_out, *self.shown.views):
-            silhouette = b"" if view.silhouette is None else view.silhouette.tobytes()
-            digest.update(view.projection.tobytes() + view.image.tobytes() + silhouette)
+        for views in filter(None, (self.used.views, self.left_out, self.shown.views)):
+            digest.update(replace(self.used, views=views).fingerprint().encode())
         truth: Any = self.ground_truth
         shape = [getattr(truth, name) for name in ("vertices", "triangles", "points") if hasattr(truth, name)]
         options = [part for item in sorted(self.options.items()) if item[1] is not None for part in item]
-        bounds = [self.used.bounds.min_bound, self.used.bounds.max_bound, self.used.mm_per_unit]
-        for part in (*bounds, *shape, *options):
+        for part in (*shape, *options):
             digest.update(np.asarray(part).tobytes())
         return digest.hexdigest()
 

@@ -217,7 +217,7 @@ def tried(book: Book, data: DataSet) -> None:
         data.run("4 views", views=4),
         data.run("2 views", views=2),
         data.run("hidden inside filled", fill_hidden=True),
-        data.run("surface that no view sees left out", keep_unseen=False),
+        data.run("surface that no view sees left out", keep_unsupported=False),
     ]
     text = ["Each row changes one thing of the proposed method: silhouettes cut out along edges, layers of one voxel, "
             f"26 neighbours, luminance, deciles, {data.n_voxels:,} voxels, 8 views."]  # fmt: skip

@@ -129,7 +129,7 @@ def test_specks_are_dropped_unless_all_pieces_are_wanted(temple: recon3d.BuiltIn
 
 
 def test_a_mesh_without_what_is_unseen_is_manifold(temple: recon3d.BuiltInScene) -> None:
-    settings = recon3d.Settings(n_voxels=60_000, method="visual-hull", keep_unseen=False)
+    settings = recon3d.Settings(n_voxels=60_000, method="visual-hull", keep_unsupported=False)
     result = recon3d.reconstruct(temple.scene, settings)
     assert result.mesh.is_edge_manifold()
     assert result.mesh.is_vertex_manifold()
@@ -234,7 +234,7 @@ def test_the_temple_from_all_sixteen_views_beats_the_figures_that_the_paper_name
     if not reference.is_dir():
         pytest.skip("no reference surface beside the photographs")
     scene = recon3d.open_scene(real_data / "templeSparseRing")
-    result = recon3d.reconstruct(scene, recon3d.Settings(keep_unseen=False))
+    result = recon3d.reconstruct(scene, recon3d.Settings(keep_unsupported=False))
     closed = recon3d.read_mesh(reference / "temple_reference_closed.ply")
     real = recon3d.triangles_near(closed, recon3d.read_mesh(reference / "temple_reference.ply"), 1e-4)
     figures = recon3d.evaluate(result.mesh, closed, real=real)

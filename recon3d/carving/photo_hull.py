@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,6 +61,19 @@ class PhotoHull(Summarised):
             n_views=np.zeros(shape, np.uint16),
             distance=distance,
         )
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """All that is known beside the lattice, for a file."""
+        known = {name: getattr(self, name) for name in ("labels", "degree", "n_views", "distance")}
+        known |= {"occupied": self.volume.occupied, "colors": self.volume.colors}
+        return {name: array for name, array in known.items() if array is not None}
+
+    @classmethod
+    def from_arrays(cls, volume: CarvingVolume, arrays: Mapping[str, NDArray[Any]]) -> PhotoHull:
+        """The hull that ``arrays`` were of, on the same lattice."""
+        found = dict(arrays)
+        volume = CarvingVolume(volume.origin, volume.voxel_size, found.pop("occupied"), found.pop("colors"))
+        return cls(volume, **found)
 
     @property
     def solid(self) -> CarvingVolume:

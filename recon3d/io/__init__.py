@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 from recon3d.errors import DataError
 from recon3d.io.files import read_geometry, read_mesh, read_support, write_geometry
 from recon3d.io.middlebury import is_middlebury, read_angles, read_bounds, read_middlebury, write_middlebury
+from recon3d.io.stages import StageFolder
 from recon3d.scene import Scene
 
 
@@ -54,6 +55,7 @@ def open_scene(path: Path | str, **options: Any) -> Scene:
 __all__ = [
     "FORMATS",
     "Format",
+    "StageFolder",
     "open_scene",
     "read_angles",
     "read_bounds",

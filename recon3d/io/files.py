@@ -48,12 +48,19 @@ def _umask() -> int:
     return mask
 
 
-def write_geometry(path: Path | str, geometry: Geometry, *, support: NDArray[np.int64] | None = None) -> Path:
+def write_geometry(
+    path: Path | str,
+    geometry: Geometry,
+    *,
+    support: NDArray[np.int64] | None = None,
+    confidence: NDArray[np.float64] | None = None,
+) -> Path:
     """Write a mesh (PLY, OBJ, GLB, STL), a point cloud (PLY) or a voxel grid (PLY); returns the path.
 
     Parameters
     ----------
     support : (n_vertices,) how many views see each vertex of a mesh, for ``read_support``; kept by PLY alone.
+    confidence : (n_points,) in each point of a cloud, kept as a property of that name.
 
     Raises
     ------
@@ -75,7 +82,10 @@ def write_geometry(path: Path | str, geometry: Geometry, *, support: NDArray[np.
             else:  # Open3D 0.20 cannot read the GLB that it writes
                 done = bool(_to_trimesh(geometry).export(temporary, file_type=path.suffix[1:].lower()))
         elif isinstance(geometry, o3d.geometry.PointCloud):
-            done = o3d.io.write_point_cloud(temporary, geometry)
+            cloud = o3d.t.geometry.PointCloud.from_legacy(geometry, o3d.core.float64)
+            if confidence is not None:
+                cloud.point.confidence = o3d.core.Tensor.from_numpy(confidence[:, None])
+            done = o3d.t.io.write_point_cloud(temporary, cloud)
         else:
             done = o3d.io.write_voxel_grid(temporary, geometry)
         if not done:

@@ -23,7 +23,7 @@ Stages = MutableMapping[str, dict[str, NDArray[np.generic]]]
 
 PASSES = (
     Matching(cavities=0.3),  # into the cavities that carving left filled
-    Matching(radius=4, spacing=1),  # as finely as the photographs allow
+    Matching(cavities=0.3, radius=4, spacing=1),  # as finely as the photographs allow
 )
 """How the views are matched, one pass after the other."""
 

@@ -1,0 +1,66 @@
+"""Finished stages of a run, kept in a folder so that an interrupted run can go on."""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Iterator, MutableMapping
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote, unquote
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recon3d.io.files import atomic_path
+
+_KEY = "made for"
+
+
+class StageFolder(MutableMapping[str, dict[str, NDArray[Any]]]):
+    """Named groups of arrays, a file each, written whole or not at all.
+
+    Parameters
+    ----------
+    folder : made when the first stage is put into it.
+    key : text that says what the stages are made from. Stages of another key are as good as absent and are replaced.
+    """
+
+    def __init__(self, folder: Path | str, key: str) -> None:
+        self.folder, self.key = Path(folder), key
+
+    def __getitem__(self, name: str) -> dict[str, NDArray[Any]]:
+        try:
+            with np.load(self._path(name), allow_pickle=False) as file:
+                if str(file[_KEY]) == self.key:
+                    return {array: file[array] for array in file.files if array != _KEY}
+        except (OSError, KeyError, ValueError, EOFError, zipfile.BadZipFile):
+            pass  # a file that is missing or was damaged is made again
+        raise KeyError(name)
+
+    def __contains__(self, name: object) -> bool:
+        """Whether a stage can be read."""
+        try:
+            return bool(self[str(name)]) or True
+        except KeyError:
+            return False
+
+    def __setitem__(self, name: str, arrays: dict[str, NDArray[Any]]) -> None:
+        with atomic_path(self._path(name)) as temporary, temporary.open("wb") as file:
+            # numpy would take an array of the name "file" or "allow_pickle" for its own; no stage has one.
+            np.savez(file, **{_KEY: np.array(self.key), **arrays})  # type: ignore[arg-type]
+
+    def __delitem__(self, name: str) -> None:
+        if name not in self:
+            raise KeyError(name)
+        self._path(name).unlink()
+
+    def __iter__(self) -> Iterator[str]:
+        names = (unquote(path.stem) for path in sorted(self.folder.glob("*.npz")))
+        return (name for name in names if name in self)
+
+    def __len__(self) -> int:
+        return sum(1 for _ in self)
+
+    def _path(self, name: str) -> Path:
+        """File of a stage; a view's name may hold any character."""
+        return self.folder / f"{quote(name, safe=' ')}.npz"
