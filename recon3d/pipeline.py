@@ -29,7 +29,7 @@ from recon3d.quality import Quality, measure_quality
 from recon3d.rendering import Renderer, comparison_sheet, keep_vertices, turntable, without_unseen
 from recon3d.scene import Scene
 from recon3d.settings import Settings, choose_views
-from recon3d.stereo import Stages, mesh_points, near_points, sharpen_hull
+from recon3d.stereo import PASSES, Stages, mesh_points, near_points, sharpen_hull
 from recon3d.surface import mesh_volume, surface_points
 from recon3d.volume import CarvingVolume
 
@@ -234,7 +234,8 @@ def keep_stages(folder: Path | str, scene: Scene, settings: Settings) -> StageFo
         return None
     chosen = ("n_voxels", "voxel_size", "method", "method_options", "views", "max_views")
     told = {name: value for name, value in settings.record().items() if name in chosen}
-    return StageFolder(folder, f"{__version__} {scene.fingerprint()} {json.dumps(told, sort_keys=True)}")
+    chosen_by = json.dumps(told, sort_keys=True, default=np.generic.item)
+    return StageFolder(folder, f"{__version__} {scene.fingerprint()} {chosen_by} {PASSES}")
 
 
 def _carved(

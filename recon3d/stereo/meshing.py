@@ -57,7 +57,13 @@ def mesh_points(
     closed = _closed_by_hull(points, hull, spacing)
     extent = float(max(closed.get_max_bound() - closed.get_min_bound()))
     depth = max(round(np.log2(_MARGIN * extent / spacing)), 1)
-    mesh, _ = o3d.geometry.TriangleMesh.create_from_point_cloud_poisson(closed, depth=depth, scale=_MARGIN)
+    # Poisson computes in single precision, so far from the origin it would lose the surface; on more threads than one,
+    # which are hardly faster, its vertices come in another order every time.
+    middle = closed.get_axis_aligned_bounding_box().get_center()
+    mesh, _ = o3d.geometry.TriangleMesh.create_from_point_cloud_poisson(
+        closed.translate(-middle), depth=depth, scale=_MARGIN, n_threads=1
+    )
+    mesh.translate(middle)
     mesh.compute_vertex_normals()
     positions, colors = points.point.positions.numpy(), points.point.colors.numpy()
     blended = blend_colors(positions, np.rint(255 * colors).astype(np.uint8), spacing, np.asarray(mesh.vertices))
