@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from recon3d._version import __version__
 from recon3d.carving import METHODS, PhotoHull
 from recon3d.coloring import color_from_views
-from recon3d.errors import DataError
+from recon3d.errors import DataError, EmptyReconstructionError
 from recon3d.evaluation import Evaluation, error_map, evaluate, triangles_near
 from recon3d.html import Summarised
 from recon3d.io.files import MESH_SUFFIXES, read_geometry, read_mesh, write_geometry, write_image, write_json
@@ -200,6 +200,8 @@ def reconstruct(
             mesh = without_unseen(mesh, scene)
             if sharp:
                 mesh = keep_vertices(mesh, near_points(np.asarray(mesh.vertices), sharp, spacing))
+                if not mesh.has_triangles():
+                    raise EmptyReconstructionError(f"scene {scene.name}: no point lies near any of the surface")
         mesh, mending = mend_mesh(mesh)
         report("surface", 2, 3)
         mesh, support = color_from_views(mesh, scene)
