@@ -23,14 +23,15 @@ _MARGIN = 1.1  # of Poisson's cube around the points
 def mesh_points(
     points: o3d.t.geometry.PointCloud, hull: PhotoHull, *, surface: Surface = "poisson", spacing: float | None = None
 ) -> o3d.geometry.TriangleMesh:
-    """Closed mesh through oriented points; where there are none, the hull closes it.
+    """Closed mesh through oriented points; where there are none, the hull closes it, or a small surface inside it.
 
     Parameters
     ----------
     points : as ``sharpen`` returns them.
     hull : what is left of the carved volume in their places, as ``sharpen_hull`` returns it.
-    surface : "poisson" follows the points most closely; "graph-cut" is edge-manifold by construction and holds its own
-        against outliers.
+    surface : "poisson" follows the points most closely, and the hull where there are none; "graph-cut" is edge-manifold
+        by construction and holds its own against outliers, but where there are none takes the shortest way inside the
+        hull.
     spacing : finest detail that Poisson resolves, and half the distance from the nearest point beyond which the hull
         takes over, world units; half a voxel when None.
 
