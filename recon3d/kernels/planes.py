@@ -29,7 +29,10 @@ def find_visible(
     min_cosine: float,
     visible: NDArray[np.uint32],
 ) -> None:
-    """Bit j of every strided pixel: other view j sees the surface point there, by that view's own depth map."""
+    """Bit j of every strided pixel: other view j sees the surface point there, by that view's own depth map.
+
+    Depths are of all pixels, normals of the strided ones.
+    """
     rows, columns = visible.shape
     for row in prange(rows):
         for column in range(columns):
@@ -39,7 +42,7 @@ def find_visible(
             visible[row, column] = 0
             if d <= 0.0:
                 continue
-            n = normals[v, u]
+            n = normals[row, column]
             x = center[0] + d * (world_from_pixel[0, 0] * u + world_from_pixel[0, 1] * v + world_from_pixel[0, 2])
             y = center[1] + d * (world_from_pixel[1, 0] * u + world_from_pixel[1, 1] * v + world_from_pixel[1, 2])
             z = center[2] + d * (world_from_pixel[2, 0] * u + world_from_pixel[2, 1] * v + world_from_pixel[2, 2])

@@ -104,14 +104,15 @@ class Matcher:
 
     @cached_property
     def _guides(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Depth (n_views, height, width), 0 beside the surface, and world normals of the surface in every view."""
-        depths = np.zeros(self.views.free.shape, np.float32)
-        normals = np.zeros((*depths.shape, 3), np.float32)
+        """Of every view, depths (n_views, height, width), 0 beside the surface, and world normals at strided pixels."""
+        depths, stride = np.zeros(self.views.free.shape, np.float32), self.matching.stride
+        normals = np.zeros((*depths[:, ::stride, ::stride].shape, 3), np.float32)
         renderer = Renderer(self._surface)
         for n, view in enumerate(self.scene.views):
             rendering = renderer.render_view(view)
             depths[n, : view.height, : view.width] = np.where(rendering.hit, rendering.depth, 0)
-            normals[n, : view.height, : view.width] = rendering.normals
+            strided = rendering.normals[::stride, ::stride]
+            normals[n, : strided.shape[0], : strided.shape[1]] = strided
         return depths, normals
 
     def depth_map(self, n: int) -> DepthMap:
@@ -163,7 +164,7 @@ class Matcher:
         view, stride = self.scene.views[n], self.matching.stride
         depth = depths[n, ::stride, ::stride].astype(np.float64)
         # On the plane m . X = m . X0 of the camera's frame, 1 / z = m . K^-1 (u, v, 1) / (m . X0).
-        m = normals[n, ::stride, ::stride] @ view.cam_from_world[:3, :3].T @ np.linalg.inv(view.K)
+        m = normals[n] @ view.cam_from_world[:3, :3].T @ np.linalg.inv(view.K)
         rows, columns = np.mgrid[: depth.shape[0], : depth.shape[1]] * stride
         facing = m[..., 0] * columns + m[..., 1] * rows + m[..., 2]
         facing = np.minimum(facing, -_MIN_COSINE)  # normals face the camera; a grazing plane is turned towards it
