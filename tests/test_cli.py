@@ -93,6 +93,11 @@ def test_the_surface_may_be_made_again_from_the_stages_that_are_kept(photographs
     command = ["reconstruct", photographs, "--voxels", 8000, "-o", tmp_path, "--no-pictures", "--views", "view0[1-3]*"]
     command += ["--method", "visual-hull", "--quality", "sharp"]
 
+    def unsupported() -> float:
+        support = recon3d.read_support(tmp_path / "mesh.ply")
+        assert support is not None
+        return float((support == 0).mean())
+
     def chosen() -> list[object]:
         settings = json.loads((tmp_path / "record.json").read_text())["settings"]
         return [settings[name] for name in ("quality", "surface", "keep_unsupported")]
@@ -101,10 +106,10 @@ def test_the_surface_may_be_made_again_from_the_stages_that_are_kept(photographs
     assert chosen() == ["sharp", "poisson", True]
     made = {path.name: path.stat().st_mtime_ns for path in (tmp_path / "stages").iterdir()}
     assert len(made) == 1 + 2 * 3  # carving, and two passes over three views
-    assert o3d.io.read_triangle_mesh(str(tmp_path / "mesh.ply")).is_watertight()
+    assert unsupported() > 0.2  # three views see a half of it
     run(*command, "--surface", "graph-cut", "--no-keep-unsupported")
     assert chosen() == ["sharp", "graph-cut", False]
-    assert not o3d.io.read_triangle_mesh(str(tmp_path / "mesh.ply")).is_watertight()
+    assert unsupported() < 0.05
     assert {path.name: path.stat().st_mtime_ns for path in (tmp_path / "stages").iterdir()} == made
     run(*command[:-1], "carve")
     assert chosen() == ["carve", "poisson", True]
