@@ -60,5 +60,5 @@ class StageFolder(MutableMapping[str, dict[str, NDArray[Any]]]):
         return f"{self.key}: {', '.join(sorted(arrays))}"
 
     def _path(self, name: str) -> Path:
-        """File of a stage; a view's name may hold any character."""
+        """File of a stage, whose name may hold any character."""
         return self.folder / f"{quote(name, safe=' ')}.npz"

@@ -57,7 +57,9 @@ class Matching:
         whole = {
             name: getattr(self, name) for name in ("stride", "radius", "spacing", "rounds", "neighbours", "compared")
         }
-        wrong = [f"{name}={value}" for name, value in whole.items() if not isinstance(value, int) or value < 1]
+        wrong = [
+            f"{name}={value}" for name, value in whole.items() if not isinstance(value, int | np.integer) or value < 1
+        ]
         if wrong:
             raise ValueError(f"expected whole numbers of at least 1, got {', '.join(wrong)}")
         if self.radius < self.spacing:
