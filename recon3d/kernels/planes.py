@@ -296,7 +296,7 @@ def _correlation(
             a += xu
             b += yu
     variance = square - mean * mean
-    if variance < np.float32(1.0):
+    if variance < np.float32(0.25):
         return np.float32(-1.0)
     return product / np.sqrt(power * variance)
 
