@@ -23,7 +23,7 @@ from recon3d.errors import DataError
 from recon3d.evaluation import Evaluation, error_map, evaluate, triangles_near
 from recon3d.html import Summarised
 from recon3d.io.files import MESH_SUFFIXES, read_geometry, read_mesh, write_geometry, write_image, write_json
-from recon3d.io.stages import StageFolder
+from recon3d.io.stages import StageFolder, code_fingerprint
 from recon3d.mending import Mending, drop_specks, mend_mesh
 from recon3d.quality import Quality, measure_quality
 from recon3d.rendering import Renderer, comparison_sheet, keep_vertices, turntable, without_unseen
@@ -234,7 +234,7 @@ def keep_stages(folder: Path | str, scene: Scene, settings: Settings) -> StageFo
         return None
     chosen = ("n_voxels", "voxel_size", "method", "method_options", "views", "max_views")
     told = {name: value for name, value in settings.record().items() if name in chosen}
-    return StageFolder(folder, f"{__version__} {scene.fingerprint()} {json.dumps(told, sort_keys=True)}")
+    return StageFolder(folder, f"{code_fingerprint()} {scene.fingerprint()} {json.dumps(told, sort_keys=True)}")
 
 
 def _carved(
