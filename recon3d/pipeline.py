@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from recon3d._version import __version__
 from recon3d.carving import METHODS, PhotoHull
 from recon3d.coloring import color_from_views
-from recon3d.errors import DataError
+from recon3d.errors import DataError, EmptyReconstructionError
 from recon3d.evaluation import Evaluation, error_map, evaluate, triangles_near
 from recon3d.html import Summarised
 from recon3d.io.files import MESH_SUFFIXES, read_geometry, read_mesh, write_geometry, write_image, write_json
@@ -200,6 +200,8 @@ def reconstruct(
             mesh = without_unseen(mesh, scene)
             if sharp:
                 mesh = keep_vertices(mesh, near_points(np.asarray(mesh.vertices), sharp, spacing))
+                if not mesh.has_triangles():
+                    raise EmptyReconstructionError(f"scene {scene.name}: no point lies near any of the surface")
         mesh, mending = mend_mesh(mesh)
         report("surface", 2, 3)
         mesh, support = color_from_views(mesh, scene)
@@ -234,7 +236,8 @@ def keep_stages(folder: Path | str, scene: Scene, settings: Settings) -> StageFo
         return None
     chosen = ("n_voxels", "voxel_size", "method", "method_options", "views", "max_views")
     told = {name: value for name, value in settings.record().items() if name in chosen}
-    return StageFolder(folder, f"{code_fingerprint()} {scene.fingerprint()} {json.dumps(told, sort_keys=True)}")
+    chosen_by = json.dumps(told, sort_keys=True, default=np.generic.item)
+    return StageFolder(folder, f"{code_fingerprint()} {scene.fingerprint()} {chosen_by}")
 
 
 def _carved(
