@@ -61,9 +61,8 @@ def mesh_points(
     # Poisson computes in single precision, so far from the origin it would lose the surface; on more threads than one,
     # which are hardly faster, its vertices come in another order every time.
     middle = closed.get_axis_aligned_bounding_box().get_center()
-    mesh, _ = o3d.geometry.TriangleMesh.create_from_point_cloud_poisson(
-        closed.translate(-middle), depth=depth, scale=_MARGIN, n_threads=1
-    )
+    closed.translate(-middle)
+    mesh, _ = o3d.geometry.TriangleMesh.create_from_point_cloud_poisson(closed, depth=depth, scale=_MARGIN, n_threads=1)
     mesh.translate(middle)
     mesh.compute_vertex_normals()
     positions, colors = points.point.positions.numpy(), points.point.colors.numpy()
