@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 import zipfile
 from collections.abc import Iterable, Iterator, MutableMapping
+from functools import cache
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote, unquote
@@ -14,6 +16,15 @@ from numpy.typing import NDArray
 from recon3d.io.files import atomic_path
 
 _KEY = "made for"
+
+
+@cache
+def code_fingerprint() -> str:
+    """Text that changes with the package's source: what other code has made is made again."""
+    digest = hashlib.sha256()
+    for file in sorted(Path(__file__).parents[1].rglob("*.py")):
+        digest.update(file.read_bytes())
+    return digest.hexdigest()
 
 
 class StageFolder(MutableMapping[str, dict[str, NDArray[Any]]]):

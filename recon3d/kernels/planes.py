@@ -299,7 +299,7 @@ def _correlation(
             a += xu
             b += yu
     variance = square - mean * mean
-    if variance < 1.0:
+    if variance < 0.25:
         return -1.0
     return product / np.sqrt(power * variance)
 

@@ -12,12 +12,10 @@ from numpy.typing import NDArray
 
 from recon3d.carving import matching_neighbours
 from recon3d.carving.views import ViewArrays
+from recon3d.carving.vote_carving import MIN_DEVIATION
 from recon3d.kernels.planes import NOTHING, find_visible, match_planes
 from recon3d.rendering import Renderer
 from recon3d.scene import Scene
-
-MIN_DEVIATION = 2.0
-"""Grey levels; a window with less contrast has nothing to match."""
 
 _MOST_NEIGHBOURS = 32  # bits of a pixel's visibility
 _TOLERANCE = 6.0  # pixel footprints by which the carved surface may miss in depth when visibility is asked
