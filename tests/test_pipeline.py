@@ -259,6 +259,8 @@ def test_a_sharp_result_is_saved_with_confidence_support_and_settings(
     np.testing.assert_array_equal(recon3d.read_support(written["mesh (ply)"]), sharp.support)
     cloud = o3d.t.io.read_point_cloud(str(written["points"]))
     np.testing.assert_allclose(cloud.point.positions.numpy(), np.asarray(sharp.points.points), rtol=1e-6)
+    assert cloud.point.colors.dtype == o3d.core.uint8  # as every viewer of PLY takes them
+    np.testing.assert_allclose(cloud.point.colors.numpy() / 255, np.asarray(sharp.points.colors), atol=0.5 / 255 + 1e-9)
     assert sharp.confidence is not None
     np.testing.assert_allclose(cloud.point.confidence.numpy().ravel(), sharp.confidence, rtol=1e-6)
     record = json.loads(written["figures"].read_text())

@@ -83,6 +83,8 @@ def write_geometry(
                 done = bool(_to_trimesh(geometry).export(temporary, file_type=path.suffix[1:].lower()))
         elif isinstance(geometry, o3d.geometry.PointCloud):
             cloud = o3d.t.geometry.PointCloud.from_legacy(geometry, o3d.core.float64)
+            if geometry.has_colors():
+                cloud.point.colors = o3d.core.Tensor.from_numpy(_eight_bits(geometry.colors))
             if confidence is not None:
                 cloud.point.confidence = o3d.core.Tensor.from_numpy(confidence[:, None])
             done = o3d.t.io.write_point_cloud(temporary, cloud)
@@ -206,7 +208,7 @@ def _write_ply(path: Path, mesh: o3d.geometry.TriangleMesh, support: NDArray[np.
     if mesh.has_vertex_normals():
         add("nx ny nz", "double", np.asarray(mesh.vertex_normals))
     if mesh.has_vertex_colors():
-        add("red green blue", "uchar", _eight_bits(mesh))
+        add("red green blue", "uchar", _eight_bits(mesh.vertex_colors))
     if support is not None:
         add("support", "int", support[:, None])
     vertices = np.empty(len(mesh.vertices), [(name, _PLY_TYPES[kind]) for name, kind, _ in columns])
@@ -223,9 +225,9 @@ def _write_ply(path: Path, mesh: o3d.geometry.TriangleMesh, support: NDArray[np.
     return len(vertices) > 0
 
 
-def _eight_bits(mesh: o3d.geometry.TriangleMesh) -> NDArray[np.uint8]:
-    """(n_vertices, 3) colours, 0 to 255."""
-    return np.asarray(np.rint(255 * np.clip(np.asarray(mesh.vertex_colors), 0, 1)), np.uint8)
+def _eight_bits(colors: o3d.utility.Vector3dVector) -> NDArray[np.uint8]:
+    """(n, 3) colours, 0 to 255."""
+    return np.asarray(np.rint(255 * np.clip(np.asarray(colors), 0, 1)), np.uint8)
 
 
 def _to_trimesh(mesh: o3d.geometry.TriangleMesh) -> trimesh.Trimesh:
@@ -234,7 +236,7 @@ def _to_trimesh(mesh: o3d.geometry.TriangleMesh) -> trimesh.Trimesh:
         np.asarray(mesh.vertices),
         np.asarray(mesh.triangles),
         vertex_normals=np.asarray(mesh.vertex_normals) if mesh.has_vertex_normals() else None,
-        vertex_colors=_eight_bits(mesh) if mesh.has_vertex_colors() else None,
+        vertex_colors=_eight_bits(mesh.vertex_colors) if mesh.has_vertex_colors() else None,
         process=False,
     )
 
