@@ -180,7 +180,7 @@ def reconstruct(
         scene = choose_views(scene, settings)
     with _timed(timings, "carving"):
         volume = CarvingVolume.enclosing(scene.bounds, voxel_size=settings.voxel_size, n_voxels=settings.n_voxels)
-        hull = _carved(scene, volume, settings, stages, lambda done, total: report("carving", done, total))
+        hull = carve(scene, volume, settings, stages, progress=lambda done, total: report("carving", done, total))
     sharp = None
     if settings.quality == "sharp":
         with _timed(timings, "matching"):
@@ -230,27 +230,12 @@ def keep_stages(folder: Path | str, scene: Scene, settings: Settings) -> StageFo
     A test may be a user's own and change without a trace; carving by one is done again.
     """
     settings = settings.resolved(scene)
+    scene = choose_views(scene, settings)
     if settings.test is not None:
         return None
     chosen = ("n_voxels", "voxel_size", "method", "method_options", "views", "max_views")
     told = {name: value for name, value in settings.record().items() if name in chosen}
     return StageFolder(folder, f"{__version__} {scene.fingerprint()} {json.dumps(told, sort_keys=True)}")
-
-
-def _carved(
-    scene: Scene,
-    volume: CarvingVolume,
-    settings: Settings,
-    stages: Stages | None,
-    progress: Callable[[int, int], None],
-) -> PhotoHull:
-    """The carved volume, if need be."""
-    if stages is not None and "carving" in stages:
-        return PhotoHull.from_arrays(volume, stages["carving"])
-    hull = carve(scene, volume, settings, progress=progress)
-    if stages is not None:
-        stages["carving"] = hull.arrays()
-    return hull
 
 
 def _carved_mesh(hull: PhotoHull, settings: Settings) -> o3d.geometry.TriangleMesh:
@@ -259,9 +244,19 @@ def _carved_mesh(hull: PhotoHull, settings: Settings) -> o3d.geometry.TriangleMe
     return mesh_volume(hull.volume if shell else hull.solid, distance=hull.distance, smoothing=settings.smoothing)
 
 
-def carve(scene: Scene, volume: CarvingVolume, settings: Settings, **callbacks: Any) -> PhotoHull:
-    """Carve a volume with the method and test of resolved settings; callbacks such as ``progress`` go to the method."""
-    return METHODS[settings.method].carve(scene, volume, settings.test, **callbacks, **settings.method_options)
+def carve(
+    scene: Scene, volume: CarvingVolume, settings: Settings, stages: Stages | None = None, **callbacks: Any
+) -> PhotoHull:
+    """Carve a volume with the method and test of resolved settings, or take what an earlier run kept of that.
+
+    Callbacks such as ``progress`` go to the method.
+    """
+    if stages is not None and "carving" in stages:
+        return PhotoHull.from_arrays(volume, stages["carving"])
+    hull = METHODS[settings.method].carve(scene, volume, settings.test, **callbacks, **settings.method_options)
+    if stages is not None:
+        stages["carving"] = hull.arrays()
+    return hull
 
 
 def evaluate_files(

@@ -19,13 +19,14 @@ import numpy as np
 import typer
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from paper_runs import HEAD, DataSet, Result, first_views, photographs, upright
+from paper_runs import HEAD, DataSet, Result, first_views, photographs
 
 import recon3d
 from recon3d.consistency import TESTS, FuzzySingle, alternating_harmonic
 from recon3d.figures import plot_evaluation
 from recon3d.io.files import atomic_path, write_image
 from recon3d.page import Section, write_page
+from recon3d.rendering import portrait
 
 PAPER = {"TempleSparseRing": (8.97, 72.1, 310), "DinoSparseRing": (8.12, 70.0, 375)}
 """Accuracy (mm), completeness (%) and seconds of the proposed method, Table 1."""
@@ -62,7 +63,7 @@ class Book:
     def models(self, name: str, results: Sequence[Result]) -> list[list[tuple[str, str]]]:
         """The photograph and the models from its camera, coloured and shaded."""
         view = results[0].scene.views[len(results[0].scene.views) // 2]
-        photograph = self.picture(f"{name}-photograph", upright(view.image, view, results[0].scene), view.name)
+        photograph = self.picture(f"{name}-photograph", portrait(view.image, view, results[0].scene), view.name)
         return [
             [photograph, *(
                 self.picture(f"{name}-{mode}-{n}", result.picture(mode), result.title)
