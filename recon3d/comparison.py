@@ -20,6 +20,7 @@ from recon3d.errors import Recon3dError
 from recon3d.figures import plot_trade_off
 from recon3d.html import Summarised, grid_html
 from recon3d.io.files import atomic_path, read_image, write_image, write_json, write_text
+from recon3d.page import markdown_table
 from recon3d.pipeline import Progress
 from recon3d.scene import Scene
 from recon3d.settings import Settings
@@ -72,13 +73,7 @@ class Comparison(Summarised):
 
     def markdown(self) -> str:
         """Title, table and what its columns mean, as Markdown that reads as plain text, too."""
-        rows = self.table()
-        widths = [max(len(row[n]) for row in rows) for n in range(len(rows[0]))]
-        lines = [
-            "| " + " | ".join([row[0].ljust(widths[0]), *map(str.rjust, row[1:], widths[1:])]) + " |" for row in rows
-        ]
-        rule = "| " + " | ".join(["-" * widths[0], *("-" * (width - 1) + ":" for width in widths[1:])]) + " |"
-        return "\n".join([self._title(), "", lines[0], rule, *lines[1:], "", self._notes(), ""])
+        return "\n\n".join([self._title(), markdown_table(self.table(), numbers=True), self._notes()]) + "\n"
 
     def plot(self) -> Figure:
         """The trade-off: how much of the object each test finds against how right that is.

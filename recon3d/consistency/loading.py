@@ -10,11 +10,11 @@ from functools import partial
 from inspect import isfunction, signature
 from pathlib import Path
 
-from recon3d.consistency.base import ConsistencyTest, Patches, Verdict
+from recon3d.consistency.base import AroundTest, ConsistencyTest, Patches, Verdict
 
 
 @dataclass(frozen=True, repr=False)
-class LoadedTest:
+class LoadedTest(AroundTest):
     """A user's own test, and how to make it again."""
 
     path: str
@@ -23,16 +23,6 @@ class LoadedTest:
     """What it was made with."""
     test: ConsistencyTest = field(compare=False)
     """Judges."""
-
-    @property
-    def needs_directions(self) -> bool:
-        """Whether the test does."""
-        return bool(getattr(self.test, "needs_directions", False))
-
-    @property
-    def window_side(self) -> int:
-        """Of the windows that the test wants; 0: none."""
-        return int(getattr(self.test, "window_side", 0))
 
     def __repr__(self) -> str:
         options = ", ".join(f"{name}={value!r}" for name, value in self.options.items())
