@@ -88,7 +88,7 @@ class Explanation(Summarised):
             Label.BACKGROUND: f"carved before any test: outside the silhouettes of {', '.join(self.excluded_by)}",
             Label.HIDDEN: "no pixel is free to show it: it lies inside, or behind accepted voxels in every view",
         }
-        if self.label == Label.INCONSISTENT != (self.carved or self.label):
+        if self.label == Label.INCONSISTENT and self.carved in (Label.HIDDEN, Label.CONSISTENT):
             return "inconsistent: carved by matching, the surface that the photographs agree on lies behind it"
         if self.last is None or self.label in reasons:
             return f"{self.label.name.lower()}: {reasons.get(self.label, self._unjudged())}"
