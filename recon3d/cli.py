@@ -237,6 +237,9 @@ def evaluate(
     ] = None,
     real: RealOption = None,
     real_within: RealWithinOption = 0.1,
+    supported: Annotated[
+        bool, typer.Option("--supported", help="Leave out what nothing was measured of and only the hull closes.")
+    ] = False,
     error_scale: Annotated[float, typer.Option(metavar="MM", help="Distance that the error maps show red.")] = 5.0,
     seed: SeedOption = 0,
 ) -> None:
@@ -257,6 +260,7 @@ def evaluate(
             ground_truth,
             real=real,
             real_within_mm=real_within,
+            supported=supported,
             mm_per_unit=unit,
             accuracy_percent=accuracy_percent,
             completeness_threshold_mm=completeness_threshold,

@@ -19,11 +19,19 @@ from numpy.typing import NDArray
 from recon3d._version import __version__
 from recon3d.carving import METHODS, PhotoHull
 from recon3d.coloring import color_from_views
-from recon3d.errors import DataError
+from recon3d.errors import DataError, EmptyReconstructionError
 from recon3d.evaluation import Evaluation, error_map, evaluate, triangles_near
 from recon3d.html import Summarised
-from recon3d.io.files import MESH_SUFFIXES, read_geometry, read_mesh, write_geometry, write_image, write_json
-from recon3d.io.stages import StageFolder
+from recon3d.io.files import (
+    MESH_SUFFIXES,
+    read_geometry,
+    read_mesh,
+    read_support,
+    write_geometry,
+    write_image,
+    write_json,
+)
+from recon3d.io.stages import StageFolder, code_fingerprint
 from recon3d.mending import Mending, drop_specks, mend_mesh
 from recon3d.quality import Quality, measure_quality
 from recon3d.rendering import Renderer, comparison_sheet, keep_vertices, turntable, without_unseen
@@ -200,6 +208,8 @@ def reconstruct(
             mesh = without_unseen(mesh, scene)
             if sharp:
                 mesh = keep_vertices(mesh, near_points(np.asarray(mesh.vertices), sharp, spacing))
+                if not mesh.has_triangles():
+                    raise EmptyReconstructionError(f"scene {scene.name}: no point lies near any of the surface")
         mesh, mending = mend_mesh(mesh)
         report("surface", 2, 3)
         mesh, support = color_from_views(mesh, scene)
@@ -235,7 +245,8 @@ def keep_stages(folder: Path | str, scene: Scene, settings: Settings) -> StageFo
         return None
     chosen = ("n_voxels", "voxel_size", "method", "method_options", "views", "max_views")
     told = {name: value for name, value in settings.record().items() if name in chosen}
-    return StageFolder(folder, f"{__version__} {scene.fingerprint()} {json.dumps(told, sort_keys=True)}")
+    chosen_by = json.dumps(told, sort_keys=True, default=np.generic.item)
+    return StageFolder(folder, f"{code_fingerprint()} {scene.fingerprint()} {chosen_by}")
 
 
 def _carved_mesh(hull: PhotoHull, settings: Settings) -> o3d.geometry.TriangleMesh:
@@ -265,6 +276,7 @@ def evaluate_files(
     *,
     real: Path | str | None = None,
     real_within_mm: float = 0.1,
+    supported: bool = False,
     mm_per_unit: float = 1000.0,
     **options: Any,
 ) -> Evaluation:
@@ -274,15 +286,27 @@ def evaluate_files(
     ----------
     real : mesh of the part of the ground truth that is real data; ground truth farther than ``real_within_mm`` from
         it is filler, where nothing is measured.
+    supported : leave out of the reconstruction what only the hull closes: vertices whose ``support`` is 0.
     options : passed to ``evaluate``.
 
     Raises
     ------
     DataError : a file is missing or holds no geometry of the kind that is needed.
     """
-    shape = read_geometry(reconstruction)
+    shape = _supported_part(reconstruction) if supported else read_geometry(reconstruction)
     truth, mask = read_ground_truth(ground_truth, real=real, real_within_mm=real_within_mm, mm_per_unit=mm_per_unit)
     return evaluate(shape, truth, real=mask, mm_per_unit=mm_per_unit, **options)
+
+
+def _supported_part(file: Path | str) -> o3d.geometry.TriangleMesh:
+    """Mesh of a file without the vertices that nothing was measured of."""
+    mesh, support = read_mesh(file), read_support(file)
+    if support is None:
+        raise DataError(f"{file}: expected a mesh.ply that recon3d wrote, got one without support of its vertices")
+    part = keep_vertices(mesh, support > 0)
+    if not part.has_triangles():
+        raise DataError(f"{file}: no triangle of the mesh is supported")
+    return part
 
 
 def read_ground_truth(

@@ -247,8 +247,10 @@ class Scene(Summarised):
         """Text that two scenes share only where views, silhouettes, bounds and unit are the same, to the last bit."""
         digest = hashlib.sha256()
         for view in self.views:
-            silhouette = b"" if view.silhouette is None else view.silhouette.tobytes()
-            digest.update(view.name.encode() + view.projection.tobytes() + view.image.tobytes() + silhouette)
+            mask = np.empty(0, np.bool_) if view.silhouette is None else view.silhouette
+            digest.update(repr((view.name, view.image.shape, mask.shape)).encode())
+            for array in (view.K, view.cam_from_world, view.image, mask):
+                digest.update(array.tobytes())
         digest.update(np.array([*self.bounds.min_bound, *self.bounds.max_bound, self.mm_per_unit]).tobytes())
         return digest.hexdigest()
 

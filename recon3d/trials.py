@@ -21,6 +21,7 @@ from recon3d.contestants import Contestant
 from recon3d.errors import EmptyReconstructionError
 from recon3d.evaluation import Evaluation, evaluate
 from recon3d.html import labelled_row
+from recon3d.io.stages import code_fingerprint
 from recon3d.memory import peak_memory
 from recon3d.pipeline import Progress, Reconstruction, reconstruct
 from recon3d.quality import measure_quality
@@ -168,6 +169,7 @@ class Contest:
     def fingerprint(self) -> str:
         """Text that two contests share only where every test would find the same in both."""
         digest = hashlib.sha256(json.dumps(self.record(), sort_keys=True, default=str).encode())
+        digest.update(code_fingerprint().encode())
         for views in filter(None, (self.used.views, self.left_out, self.shown.views)):
             digest.update(replace(self.used, views=views).fingerprint().encode())
         truth: Any = self.ground_truth

@@ -46,6 +46,16 @@ def stripes(points: NDArray[np.float64]) -> NDArray[np.float64]:
     return 0.7 + 0.15 * np.sin(phase)
 
 
+def grain(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Albedo (n, 3) with detail of a few pixels' size in the cameras below: the sum of 40 plane waves."""
+    rng = np.random.default_rng(7)
+    direction = rng.standard_normal((40, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    length, phase = rng.uniform(0.15, 0.6, 40), rng.uniform(0, 2 * np.pi, 40)
+    grey = 0.55 + 0.05 * np.sin(points @ (2 * np.pi * direction / length[:, None]).T + phase).sum(axis=1)
+    return np.clip(grey[:, None] * [1.0, 0.9, 0.8], 0.05, 1)
+
+
 def plain(points: NDArray[np.float64]) -> NDArray[np.float64]:
     """The same grey albedo everywhere."""
     return np.full_like(points, 0.8)
@@ -69,6 +79,23 @@ def photographs(
     scene = photograph(mesh, texture, taken_by or cameras(), supersampling=supersampling)
     # Odd margins, so that no voxel's corner falls on a pixel's centre by symmetry.
     return replace(scene, bounds=make_bounds(mesh.get_min_bound() - 0.1137, mesh.get_max_bound() + 0.1259))
+
+
+def transformed(scene: Scene, scale: float, shift: NDArray[np.float64]) -> Scene:
+    """The scene in another unit and place: world points X become scale * X + shift."""
+
+    def moved(view: View) -> View:
+        pose = view.cam_from_world
+        pose[:3, 3] = scale * pose[:3, 3] - pose[:3, :3] @ shift
+        return View.from_matrices(view.K, pose, view.image, silhouette=view.silhouette, name=view.name)
+
+    low, high = (scale * np.asarray(corner) + shift for corner in (scene.bounds.min_bound, scene.bounds.max_bound))
+    return replace(
+        scene,
+        views=tuple(map(moved, scene.views)),
+        bounds=make_bounds(low, high),
+        mm_per_unit=scene.mm_per_unit / scale,
+    )
 
 
 def with_noise(scene: Scene, sigma: float, seed: int = 0) -> Scene:

@@ -89,6 +89,27 @@ def test_a_test_and_its_options_are_chosen_by_name(photographs: Path, tmp_path: 
     assert len(record["scene"]["views"]) == 5
 
 
+def test_the_surface_may_be_made_again_from_the_stages_that_are_kept(photographs: Path, tmp_path: Path) -> None:
+    command = ["reconstruct", photographs, "--voxels", 8000, "-o", tmp_path, "--no-pictures", "--views", "view0[1-3]*"]
+    command += ["--method", "visual-hull", "--quality", "sharp"]
+
+    def chosen() -> list[object]:
+        settings = json.loads((tmp_path / "record.json").read_text())["settings"]
+        return [settings[name] for name in ("quality", "surface", "keep_unsupported")]
+
+    run(*command)
+    assert chosen() == ["sharp", "poisson", True]
+    made = {path.name: path.stat().st_mtime_ns for path in (tmp_path / "stages").iterdir()}
+    assert len(made) == 1 + 2 * 3  # carving, and two passes over three views
+    assert o3d.io.read_triangle_mesh(str(tmp_path / "mesh.ply")).is_watertight()
+    run(*command, "--surface", "graph-cut", "--no-keep-unsupported")
+    assert chosen() == ["sharp", "graph-cut", False]
+    assert not o3d.io.read_triangle_mesh(str(tmp_path / "mesh.ply")).is_watertight()
+    assert {path.name: path.stat().st_mtime_ns for path in (tmp_path / "stages").iterdir()} == made
+    run(*command[:-1], "carve")
+    assert chosen() == ["carve", "poisson", True]
+
+
 def test_tests_are_compared_swept_and_written(photographs: Path, temple: recon3d.BuiltInScene, tmp_path: Path) -> None:
     truth = recon3d.write_geometry(tmp_path / "truth.ply", temple.ground_truth)
     command = ["compare", photographs, "--tests", "standard-deviation", "--sweep", "threshold=60:79:20"]

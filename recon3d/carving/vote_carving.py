@@ -19,7 +19,7 @@ from recon3d.kernels.matching import best_depths, count_agreements, fuse_depths
 from recon3d.scene import Scene
 from recon3d.volume import CarvingVolume
 
-MIN_DEVIATION = 2.0
+MIN_DEVIATION = 1.0
 """Grey levels; a window with less contrast has nothing to match."""
 
 _FINEST = 2.0  # pixel footprints; a window is twice as wide

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 import zipfile
-from collections.abc import Iterator, MutableMapping
+from collections.abc import Iterable, Iterator, MutableMapping
+from functools import cache
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote, unquote
@@ -14,6 +16,15 @@ from numpy.typing import NDArray
 from recon3d.io.files import atomic_path
 
 _KEY = "made for"
+
+
+@cache
+def code_fingerprint() -> str:
+    """Text that changes with the package's source: what other code has made is made again."""
+    digest = hashlib.sha256()
+    for file in sorted(Path(__file__).parents[1].rglob("*.py")):
+        digest.update(file.read_bytes())
+    return digest.hexdigest()
 
 
 class StageFolder(MutableMapping[str, dict[str, NDArray[Any]]]):
@@ -30,24 +41,18 @@ class StageFolder(MutableMapping[str, dict[str, NDArray[Any]]]):
 
     def __getitem__(self, name: str) -> dict[str, NDArray[Any]]:
         try:
-            with np.load(self._path(name), allow_pickle=False) as file:
-                if str(file[_KEY]) == self.key:
-                    return {array: file[array] for array in file.files if array != _KEY}
-        except (OSError, KeyError, ValueError, EOFError, zipfile.BadZipFile):
+            with self._path(name).open("rb") as file, np.load(file, allow_pickle=False) as stored:
+                arrays = dict(stored)
+            if str(arrays.pop(_KEY)) == self._made_for(arrays):
+                return arrays
+        except (OSError, KeyError, ValueError, EOFError, RuntimeError, zipfile.BadZipFile):
             pass  # a file that is missing or was damaged is made again
         raise KeyError(name)
-
-    def __contains__(self, name: object) -> bool:
-        """Whether a stage can be read."""
-        try:
-            return bool(self[str(name)]) or True
-        except KeyError:
-            return False
 
     def __setitem__(self, name: str, arrays: dict[str, NDArray[Any]]) -> None:
         with atomic_path(self._path(name)) as temporary, temporary.open("wb") as file:
             # numpy would take an array of the name "file" or "allow_pickle" for its own; no stage has one.
-            np.savez(file, **{_KEY: np.array(self.key), **arrays})  # type: ignore[arg-type]
+            np.savez(file, **{_KEY: np.array(self._made_for(arrays)), **arrays})  # type: ignore[arg-type]
 
     def __delitem__(self, name: str) -> None:
         if name not in self:
@@ -60,6 +65,10 @@ class StageFolder(MutableMapping[str, dict[str, NDArray[Any]]]):
 
     def __len__(self) -> int:
         return sum(1 for _ in self)
+
+    def _made_for(self, arrays: Iterable[str]) -> str:
+        """What a file says of itself: the key, and its arrays, since a damaged directory may not tell all of them."""
+        return f"{self.key}: {', '.join(sorted(arrays))}"
 
     def _path(self, name: str) -> Path:
         """File of a stage; a view's name may hold any character."""

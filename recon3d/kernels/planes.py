@@ -206,12 +206,12 @@ def _random(state: np.uint64) -> tuple[np.uint64, np.float32]:
 def _cost(
     window: NDArray[np.float32],
     weight: NDArray[np.float32],
-    power: np.float32,
+    power: float,
     u: int,
     v: int,
-    w: np.float32,
-    wu: np.float32,
-    wv: np.float32,
+    w: float,
+    wu: float,
+    wv: float,
     half: int,
     spacing: int,
     chosen: NDArray[np.int64],
@@ -219,12 +219,12 @@ def _cost(
     epipoles: NDArray[np.float64],
     others: NDArray[np.float32],
     sizes: NDArray[np.int64],
-) -> np.float32:
+) -> float:
     """Mean of the two smallest 1 - NCC over the chosen views; the only one's where there is one."""
-    first = np.float32(NOTHING)
-    second = np.float32(NOTHING)
+    first = NOTHING
+    second = NOTHING
     for j in chosen:
-        cost = np.float32(1.0) - _correlation(
+        cost = 1.0 - _correlation(
             window, weight, power, u, v, w, wu, wv, half, spacing, homographies[j], epipoles[j], others[j],
             sizes[j, 0], sizes[j, 1],
         )  # fmt: skip
@@ -233,19 +233,19 @@ def _cost(
             first = cost
         elif cost < second:
             second = cost
-    return first if len(chosen) == 1 else np.float32(0.5) * (first + second)
+    return first if len(chosen) == 1 else 0.5 * (first + second)
 
 
 @kernel()
 def _correlation(
     window: NDArray[np.float32],
     weight: NDArray[np.float32],
-    power: np.float32,
+    power: float,
     u: int,
     v: int,
-    w: np.float32,
-    wu: np.float32,
-    wv: np.float32,
+    w: float,
+    wu: float,
+    wv: float,
     half: int,
     spacing: int,
     H: NDArray[np.float64],
@@ -253,38 +253,38 @@ def _correlation(
     other: NDArray[np.float32],
     width: int,
     height: int,
-) -> np.float32:
+) -> float:
     """Weighted NCC of a centred window with its image in another view; -1 where that leaves the view.
 
     Within a window the plane's homography is as good as its affine part, which needs no division a sample.
     """
     z = H[2, 0] * u + H[2, 1] * v + H[2, 2] + w * e[2]
     if z <= 0.0:
-        return np.float32(-1.0)
+        return -1.0
     x = (H[0, 0] * u + H[0, 1] * v + H[0, 2] + w * e[0]) / z
     y = (H[1, 0] * u + H[1, 1] * v + H[1, 2] + w * e[1]) / z
     zu = H[2, 0] + wu * e[2]
     zv = H[2, 1] + wv * e[2]
-    xu = np.float32((H[0, 0] + wu * e[0] - x * zu) / z * spacing)
-    xv = np.float32((H[0, 1] + wv * e[0] - x * zv) / z * spacing)
-    yu = np.float32((H[1, 0] + wu * e[1] - y * zu) / z * spacing)
-    yv = np.float32((H[1, 1] + wv * e[1] - y * zv) / z * spacing)
+    xu = (H[0, 0] + wu * e[0] - x * zu) / z * spacing
+    xv = (H[0, 1] + wv * e[0] - x * zv) / z * spacing
+    yu = (H[1, 0] + wu * e[1] - y * zu) / z * spacing
+    yv = (H[1, 1] + wv * e[1] - y * zv) / z * spacing
     wide = half * (abs(xu) + abs(xv)) + 1e-3
     high = half * (abs(yu) + abs(yv)) + 1e-3
     if not (x >= wide and y >= high and x + wide < width - 1.0 and y + high < height - 1.0):
-        return np.float32(-1.0)
-    mean = np.float32(0.0)
-    square = np.float32(0.0)
-    product = np.float32(0.0)
+        return -1.0
+    mean = 0.0
+    square = 0.0
+    product = 0.0
     at = 0
     for dv in range(-half, half + 1):
-        a = np.float32(x) + dv * xv - half * xu
-        b = np.float32(y) + dv * yv - half * yu
+        a = x + dv * xv - half * xu
+        b = y + dv * yv - half * yu
         for _ in range(2 * half + 1):
             column = int(a)
             row = int(b)
-            s = a - np.float32(column)
-            t = b - np.float32(row)
+            s = a - column
+            t = b - row
             top = other[row, column] + s * (other[row, column + 1] - other[row, column])
             bottom = other[row + 1, column] + s * (other[row + 1, column + 1] - other[row + 1, column])
             value = top + t * (bottom - top)
@@ -296,8 +296,8 @@ def _correlation(
             a += xu
             b += yu
     variance = square - mean * mean
-    if variance < np.float32(1.0):
-        return np.float32(-1.0)
+    if variance < 0.25:
+        return -1.0
     return product / np.sqrt(power * variance)
 
 

@@ -12,12 +12,10 @@ from numpy.typing import NDArray
 
 from recon3d.carving import matching_neighbours
 from recon3d.carving.views import ViewArrays
+from recon3d.carving.vote_carving import MIN_DEVIATION
 from recon3d.kernels.planes import NOTHING, find_visible, match_planes
 from recon3d.rendering import Renderer
 from recon3d.scene import Scene
-
-MIN_DEVIATION = 2.0
-"""Grey levels; a window with less contrast has nothing to match."""
 
 _MOST_NEIGHBOURS = 32  # bits of a pixel's visibility
 _TOLERANCE = 6.0  # pixel footprints by which the carved surface may miss in depth when visibility is asked
@@ -57,16 +55,17 @@ class Matching:
         whole = {
             name: getattr(self, name) for name in ("stride", "radius", "spacing", "rounds", "neighbours", "compared")
         }
-        wrong = [f"{name}={value}" for name, value in whole.items() if value < 1]
+        wrong = [f"{name}={value}" for name, value in whole.items() if not isinstance(value, int) or value < 1]
         if wrong:
             raise ValueError(f"expected whole numbers of at least 1, got {', '.join(wrong)}")
         if self.radius < self.spacing:
             raise ValueError(f"expected a radius of at least the spacing, got {self.radius} and {self.spacing}")
         if self.neighbours > _MOST_NEIGHBOURS:
             raise ValueError(f"expected at most {_MOST_NEIGHBOURS} neighbours, got {self.neighbours}")
-        if not (self.contrast > 0 and self.reach > 0 and self.cavities >= 0 and 0 < self.max_cost <= 1):
+        lengths = 0 < self.reach < np.inf and 0 <= self.cavities < np.inf
+        if not (self.contrast > 0 and lengths and 0 < self.max_cost <= 1):
             raise ValueError(
-                "expected contrast > 0, reach > 0, cavities >= 0 and max_cost in (0, 1], "
+                "expected contrast > 0, finite reach > 0 and cavities >= 0, and max_cost in (0, 1], "
                 f"got {self.contrast}, {self.reach}, {self.cavities} and {self.max_cost}"
             )
 

@@ -23,14 +23,15 @@ _MARGIN = 1.1  # of Poisson's cube around the points
 def mesh_points(
     points: o3d.t.geometry.PointCloud, hull: PhotoHull, *, surface: Surface = "poisson", spacing: float | None = None
 ) -> o3d.geometry.TriangleMesh:
-    """Closed mesh through oriented points; where there are none, the hull closes it.
+    """Closed mesh through oriented points; where there are none, the hull closes it, or a small surface inside it.
 
     Parameters
     ----------
     points : as ``sharpen`` returns them.
     hull : what is left of the carved volume in their places, as ``sharpen_hull`` returns it.
-    surface : "poisson" follows the points most closely; "graph-cut" is edge-manifold by construction and holds its own
-        against outliers.
+    surface : "poisson" follows the points most closely, and the hull where there are none; "graph-cut" is edge-manifold
+        by construction and holds its own against outliers, but where there are none takes the shortest way inside the
+        hull.
     spacing : finest detail that Poisson resolves, and half the distance from the nearest point beyond which the hull
         takes over, world units; half a voxel when None.
 
@@ -57,7 +58,12 @@ def mesh_points(
     closed = _closed_by_hull(points, hull, spacing)
     extent = float(max(closed.get_max_bound() - closed.get_min_bound()))
     depth = max(round(np.log2(_MARGIN * extent / spacing)), 1)
-    mesh, _ = o3d.geometry.TriangleMesh.create_from_point_cloud_poisson(closed, depth=depth, scale=_MARGIN)
+    # Poisson computes in single precision, so far from the origin it would lose the surface; on more threads than one,
+    # which are hardly faster, its vertices come in another order every time.
+    middle = closed.get_axis_aligned_bounding_box().get_center()
+    closed.translate(-middle)
+    mesh, _ = o3d.geometry.TriangleMesh.create_from_point_cloud_poisson(closed, depth=depth, scale=_MARGIN, n_threads=1)
+    mesh.translate(middle)
     mesh.compute_vertex_normals()
     positions, colors = points.point.positions.numpy(), points.point.colors.numpy()
     blended = blend_colors(positions, np.rint(255 * colors).astype(np.uint8), spacing, np.asarray(mesh.vertices))

@@ -51,7 +51,8 @@ def sharpen(
     ----------
     hull : of the scene, by any carving method; vote carving comes nearest to the surface.
     passes : how windows are matched, each time from what was found before.
-    stages : finished views are taken from here and put here, so that an interrupted run can go on.
+    stages : finished views are taken from here and put here, so that an interrupted run can go on; of the same scene,
+        hull and passes.
     progress : called with the views that are done and how many there are, over all passes.
 
     Returns
@@ -84,8 +85,8 @@ def sharpen_hull(
     for n_pass, matching in enumerate(passes):
         matcher = Matcher(scene, mesh_volume(hull.solid, distance=hull.distance), matching)
         depth_maps = []
-        for n, view in enumerate(scene.views):
-            name = f"pass {n_pass + 1} view {view.name}"
+        for n in range(len(scene.views)):
+            name = f"pass {n_pass + 1} view {n + 1}"
             if name not in stages:
                 depth_map = matcher.depth_map(n)
                 stages[name] = {"planes": depth_map.planes, "costs": depth_map.costs}

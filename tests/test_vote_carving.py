@@ -1,0 +1,118 @@
+"""Carving by depth maps: one camera of parallel rays, near enough, before walls at known depths."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scenes import full_volume, plain_view
+
+from recon3d import CarvingVolume, Scene, View, make_bounds
+from recon3d.carving.photo_hull import Label
+from recon3d.carving.views import ViewArrays
+from recon3d.carving.vote_carving import carve_by_depths, hull_of_field
+
+SIDE = 16  # voxels of length one
+FAR = 1000.0  # of the camera from the volume's near face, so that rays run along +z
+
+
+@pytest.fixture(scope="module")
+def view() -> View:
+    """A pixel measures half a voxel in the volume's middle."""
+    K = np.array([[2 * (FAR + 8), 0, 19.5], [0, 2 * (FAR + 8), 19.5], [0, 0, 1]])
+    pose = np.eye(4)
+    pose[:3, 3] = [-8, -8, FAR]
+    return plain_view(K, pose, width=40, height=40)
+
+
+@pytest.fixture(scope="module")
+def volume() -> CarvingVolume:
+    return full_volume((SIDE, SIDE, SIDE))
+
+
+def carved(
+    view: View,
+    volume: CarvingVolume,
+    *maps: tuple[NDArray[np.floating] | float, NDArray[np.floating] | float],
+    field: NDArray[np.float32] | None = None,
+    resolution: float = 0.5,
+    margin: float = 0.0,
+) -> NDArray[np.float32]:
+    """The field, 20 deep everywhere, after the votes of depths and weights (40, 40), or one for all pixels."""
+    before = np.full(volume.shape, 20, np.float32) if field is None else field
+    scene = Scene(tuple(replace(view, name=f"{n}") for n in range(len(maps))), make_bounds([0, 0, 0], [SIDE] * 3))
+    depths, weights = (
+        np.stack([np.broadcast_to(np.asarray(part, np.float32), (40, 40)) for part in parts])
+        for parts in zip(*maps, strict=True)
+    )
+    return carve_by_depths(
+        before, volume, ViewArrays(scene), depths, weights, stride=1, resolution=resolution, truncation=4.0, prior=0.02,
+        margin=margin,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(("wall", "margin"), [(6.0, 0.0), (6.3, 0.0), (6.0, 2.0)])
+def test_the_field_is_the_signed_distance_to_the_depths(
+    view: View, volume: CarvingVolume, wall: float, margin: float
+) -> None:
+    field = carved(view, volume, (FAR + wall, 1), margin=margin)
+    z = np.arange(SIDE) + 0.5
+    near = np.abs(z - wall) < 3  # truncated farther off; the prior is a fiftieth of a vote, of four voxels
+    expected = np.broadcast_to(z - wall + 0.5 * margin, field.shape)
+    np.testing.assert_allclose(field[..., near], expected[..., near], atol=0.15)
+    assert (field[..., z < wall - margin] < 0).all()
+    # What nobody speaks of is as deep as the truncation.
+    np.testing.assert_allclose(field[..., z > wall + 4.5], 4 + 0.5 * margin, atol=0.02)
+
+
+def test_one_stray_ray_bores_no_hole_and_many_do(view: View, volume: CarvingVolume) -> None:
+    columns, rows = np.meshgrid(np.arange(40), np.arange(40))
+
+    def hole(radius: float) -> NDArray[np.float32]:
+        depths = np.where(np.hypot(columns - 19.5, rows - 19.5) <= radius, FAR + 12, FAR + 2)
+        return carved(view, volume, (depths, 1), resolution=1.0)[8, 8]
+
+    assert (hole(0.8)[3:] > 0).all()
+    assert (hole(8.0)[:11] < 0).all()
+
+
+def test_votes_carve_and_never_add(view: View, volume: CarvingVolume) -> None:
+    half = np.full(volume.shape, 20, np.float32)
+    half[:8] = -1
+    again = carved(view, volume, (FAR + 6, 1), field=half)
+    np.testing.assert_array_equal(again[:8], half[:8])
+    assert (again <= half).all()
+    np.testing.assert_array_equal(carved(view, volume, (0, 0)) > 0, True)  # nobody votes
+
+
+def test_a_cavity_without_an_opening_is_filled(view: View, volume: CarvingVolume) -> None:
+    # One view sees a wall at 2; another, weaker, sees past it to 9, which leaves a slab of 3 to 6 before a cavity.
+    columns, rows = np.meshgrid(np.arange(40), np.arange(40))
+    middle = np.hypot(columns - 19.5, rows - 19.5) <= 8
+    wall = (FAR + 2, 1)
+    assert (carved(view, volume, wall, (FAR + 9, np.where(middle, 0.3, 0)))[..., 4:] > 0).all()
+    tunnel = middle | (np.abs(rows - 19.5) < 8)  # the cavity of these rays is open at both ends
+    cavity = carved(view, volume, wall, (FAR + 9, np.where(tunnel, 0.3, 0)))[:, 8]
+    assert (cavity[:, 4] > 0).all()
+    assert (cavity[:, 7] < 0).all()
+
+
+def test_the_hull_of_a_field_is_what_is_positive_coloured_where_it_is_seen(view: View, volume: CarvingVolume) -> None:
+    image = np.zeros_like(view.image)
+    image[:, :20], image[:, 20:] = [200, 0, 0], [0, 100, 0]
+    scene = Scene((replace(view, image=image),), make_bounds([0, 0, 0], [SIDE] * 3))
+    field = np.broadcast_to((np.arange(SIDE) - 5.5).astype(np.float64), volume.shape)
+    hull = hull_of_field(field, np.full(volume.shape, Label.BACKGROUND), volume, ViewArrays(scene))
+    assert (hull.labels[..., :6] == Label.BACKGROUND).all()
+    assert (hull.labels[2:-2, 2:-2, 6] == Label.CONSISTENT).all()
+    assert (hull.labels[2:-2, 2:-2, 7:] == Label.HIDDEN).all()
+    assert hull.solid.n_occupied == SIDE * SIDE * 10
+    np.testing.assert_array_equal(hull.volume.colors[3, 8, 6], [200, 0, 0])
+    np.testing.assert_array_equal(hull.volume.colors[12, 8, 6], [0, 100, 0])
+    assert hull.distance is not None
+    np.testing.assert_array_equal(hull.distance, field)
+    assert hull.distance.dtype == np.float32
+    nothing = hull_of_field(-np.ones(volume.shape), np.zeros(volume.shape, np.uint8), volume, ViewArrays(scene))
+    assert nothing.solid.n_occupied == 0
