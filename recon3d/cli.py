@@ -19,6 +19,7 @@ from recon3d.terminal import (
     load,
     make_test,
     mesh_of,
+    names_of,
     numbers_of,
     photograph,
     pixel_of,
@@ -316,7 +317,7 @@ def compare(
     from recon3d.pipeline import read_ground_truth
     from recon3d.settings import Settings
 
-    chosen: Any = tests if tests == "all" else tests.split(",")
+    chosen: Any = tests if tests == "all" else names_of(tests)
     swept = sweep_of(sweep) if sweep else None
     contestants(chosen, swept)  # a mistake here need not wait for the photographs
     settings = Settings(
@@ -345,7 +346,7 @@ def compare(
             chosen,
             settings=settings,
             sweep=swept,
-            leave_out=int(leave_out) if leave_out.isdigit() else leave_out.split(","),
+            leave_out=int(leave_out) if leave_out.isdigit() else names_of(leave_out),
             folder=folder,
             progress=report,
             **options,
@@ -394,6 +395,7 @@ def explain(
     """Say why a voxel was carved or kept: carve once more as recorded, and draw what decided."""
     from recon3d.explanation import explain as explain_voxel
     from recon3d.io.files import write_image
+    from recon3d.pipeline import keep_stages
 
     place, clicked = numbers_of("--at", at, "three numbers X,Y,Z"), pixel_of(pixel)
     if (place is None) == (clicked is None):
@@ -402,9 +404,11 @@ def explain(
     settings = recorded_settings(result, record)
     scene = recorded_scene(result, record, silhouettes=record["silhouettes"] if record else "auto")
     folder = writable(output or beside(result, "explanations"))
+    stages = beside(result, "stages")
+    kept = keep_stages(stages, scene, settings) if stages.is_dir() else None
     with progress() as report:
         report("carving", 0, 1)
-        found = explain_voxel(scene, settings, at=place, pixel=clicked)
+        found = explain_voxel(scene, settings, at=place, pixel=clicked, stages=kept)
         report("carving", 1, 1)
     if record and record["voxels"] != found.hull.counts():
         warnings.warn(f"{result}: carved once more, other voxels are left than recorded; data or program have changed",

@@ -18,17 +18,19 @@ from numpy.typing import NDArray
 from recon3d.contestants import Contestant, Sweep, Tests, contestants, identity
 from recon3d.errors import Recon3dError
 from recon3d.figures import plot_trade_off
-from recon3d.html import Summarised, grid_html, labelled_row
+from recon3d.html import Summarised, grid_html
 from recon3d.io.files import atomic_path, read_image, write_image, write_json, write_text
+from recon3d.page import markdown_table
 from recon3d.pipeline import Progress
 from recon3d.scene import Scene
 from recon3d.settings import Settings
-from recon3d.trials import PICTURE_WIDTH, Trial, make_contest
+from recon3d.trials import Trial, make_contest
 
 _COLUMNS: dict[str, tuple[str, str]] = {
-    "accepted": ("voxels", ",.0f"),
+    "accepted": ("accepted", ",.0f"),
     "holes": ("holes", ",.0f"),
     "floating": ("floating", ",.0f"),
+    "roughness_degrees": ("roughness (deg)", ".1f"),
     "accuracy_mm": ("accuracy (mm)", ".2f"),
     "completeness_percent": ("completeness (%)", ".1f"),
     "precision_percent": ("precision (%)", ".1f"),
@@ -41,11 +43,11 @@ _COLUMNS: dict[str, tuple[str, str]] = {
 """Heading and format of each of a trial's figures in the table."""
 
 _AXES = (
-    ("completeness_percent", "precision_percent"),
-    ("overlap_percent", "median_error"),
-    ("accepted", "median_error"),
+    ("completeness_percent", "precision_percent", "better: to the right and up"),
+    ("overlap_percent", "median_error", "better: to the right and down"),
+    ("accepted", "median_error", ""),
 )
-"""What the trade-off is drawn of: the first pair that is known."""
+"""What the trade-off is drawn of, the first pair that is known, and how it is read."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -71,13 +73,7 @@ class Comparison(Summarised):
 
     def markdown(self) -> str:
         """Title, table and what its columns mean, as Markdown that reads as plain text, too."""
-        rows = self.table()
-        widths = [max(len(row[n]) for row in rows) for n in range(len(rows[0]))]
-        lines = [
-            "| " + " | ".join([row[0].ljust(widths[0]), *map(str.rjust, row[1:], widths[1:])]) + " |" for row in rows
-        ]
-        rule = "| " + " | ".join(["-" * widths[0], *("-" * (width - 1) + ":" for width in widths[1:])]) + " |"
-        return "\n".join([self._title(), "", lines[0], rule, *lines[1:], "", self._notes(), ""])
+        return "\n\n".join([self._title(), markdown_table(self.table(), numbers=True), self._notes()]) + "\n"
 
     def plot(self) -> Figure:
         """The trade-off: how much of the object each test finds against how right that is.
@@ -87,15 +83,15 @@ class Comparison(Summarised):
         """
         figures = [asdict(trial) for trial in self.trials]
         known = (
-            pair for pair in _AXES if any(row[pair[0]] is not None and row[pair[1]] is not None for row in figures)
+            axes for axes in _AXES if any(row[axes[0]] is not None and row[axes[1]] is not None for row in figures)
         )
-        x, y = next(known, _AXES[-1])
+        x, y, title = next(known, _AXES[-1])
         points: dict[str, list[tuple[float, float, str]]] = {}
         for row in figures:
             if row[x] is not None and row[y] is not None:
                 told = "" if row["value"] is None else f"{row['value']:g}"
                 points.setdefault(row["family"], []).append((row[x], row[y], told))
-        return plot_trade_off(points, xlabel=_COLUMNS[x][0], ylabel=_COLUMNS[y][0])
+        return plot_trade_off(points, xlabel=_COLUMNS[x][0], ylabel=_COLUMNS[y][0], title=title)
 
     def save(self, folder: Path | str) -> dict[str, Path]:
         """Write figures (JSON), table (Markdown), contact sheet and trade-off (PNG); returns role to path."""
@@ -136,7 +132,8 @@ class Comparison(Summarised):
         measured = f"views left out ({', '.join(left_out)})" if left_out else "views that the tests used"
         notes = (
             f"Re-projection errors in grey levels, and overlap with the silhouettes, by the {measured}. "
-            "Holes: handles and rims of the mesh; floating: pieces beside the largest."
+            "Accepted: voxels; holes: handles and rims of the mesh; floating: pieces beside the largest, specks "
+            "included; roughness: mean angle between neighbouring triangles; memory: what a run adds to the process."
         )
         if truth := self.conditions["evaluation"]:
             notes += (
@@ -186,7 +183,7 @@ def compare(
     contest = make_contest(scene, settings, entries[0].test, leave_out, ground_truth, options)
     kept = _Kept(Path(folder) / "trials", contest.fingerprint()) if folder is not None else None
     report = progress or (lambda _stage, _done, _total: None)
-    trials, rows = [], [labelled_row("photographs", [view.image for view in contest.shown.views], width=PICTURE_WIDTH)]
+    trials, rows = [], [contest.row("photographs", [view.image for view in contest.shown.views])]
     for n, entry in enumerate(entries):
         report("tests", n, len(entries))
         found = kept.find(entry) if kept else None

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from recon3d.consistency import TESTS, ConsistencyTest, load_test
+from recon3d.consistency.loading import LoadedTest
 
 Tests = str | Iterable[str | ConsistencyTest] | Mapping[str, str | ConsistencyTest]
 """Names as ``load_test`` takes them, tests themselves, or both under labels of one's own; "all": every test."""
@@ -60,6 +61,8 @@ def identity(test: ConsistencyTest) -> str | None:
 
     None where that cannot be told from outside: closures, objects with a state of their own, a notebook's functions.
     """
+    if isinstance(test, LoadedTest):  # the source that its path names may differ from its own
+        return _joined(test.path, [*test.options.items(), identity(test.test)])
     if isinstance(test, partial):
         return _joined(test.func, [*test.args, *test.keywords.items()])
     if is_dataclass(test) and not isinstance(test, type):
@@ -68,15 +71,17 @@ def identity(test: ConsistencyTest) -> str | None:
 
 
 def _joined(made_by: Any, parameters: Sequence[Any]) -> str | None:
-    """Identity of what a class or function makes of parameters."""
+    """Identity of what a class or function, itself or its path "module:name", makes of parameters."""
     try:
-        if made_by.__module__ == "__main__":
+        named = isinstance(made_by, str)
+        module, name = made_by.split(":") if named else (made_by.__module__, made_by.__qualname__)
+        if module == "__main__":
             return None
-        source = inspect.getsource(sys.modules[made_by.__module__])
+        source = inspect.getsource(sys.modules[module])
     except (OSError, TypeError, KeyError, AttributeError):
         return None
     told = [_told(parameter) for parameter in parameters]
-    return None if None in told else "\n".join([made_by.__qualname__, *map(str, told), source])
+    return None if None in told else "\n".join([name, *map(str, told), source])
 
 
 def _told(value: Any) -> str | None:
@@ -109,7 +114,11 @@ def _label(test: ConsistencyTest) -> str:
 
 
 def _parameters(test: ConsistencyTest) -> list[str]:
-    """Names of what can be varied: fields of a dataclass, or what a function takes beside the patches."""
+    """Names of what can be varied: what a class is made with, or what a function takes beside the patches."""
+    if isinstance(test, LoadedTest):
+        made = test.test
+        of_class = not (inspect.isfunction(made) or isinstance(made, partial))
+        return list(inspect.signature(type(made)).parameters) if of_class else _parameters(made)
     if is_dataclass(test):
         return [f.name for f in fields(test)]
     return list(inspect.signature(test).parameters)[1:]
@@ -123,8 +132,15 @@ def _swept(label: str, test: ConsistencyTest, name: str, values: Sequence[float]
     for value in np.asarray(values).tolist():  # plain numbers, which have one text
         try:
             change: dict[str, Any] = {name: value}
-            varied = replace(test, **change) if is_dataclass(test) else partial(test, **change)
+            varied = _varied(test, change)
         except ValueError as error:
             raise ValueError(f"{label}, {name}={value:g}: {error}") from None
         found.append(Contestant(f"{label} {name}={value:g}", varied, label, value))
     return found
+
+
+def _varied(test: ConsistencyTest, change: dict[str, Any]) -> ConsistencyTest:
+    """The test with other parameters."""
+    if isinstance(test, LoadedTest):
+        return load_test(test.path, **{**test.options, **change})
+    return replace(test, **change) if is_dataclass(test) else partial(test, **change)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from itertools import groupby
 from typing import Any
 
@@ -20,6 +21,7 @@ from recon3d.pipeline import carve
 from recon3d.pointing import most_telling, place_text, voxel_at, voxels_on_ray
 from recon3d.scene import Scene
 from recon3d.settings import Settings, choose_views
+from recon3d.stereo import Stages, sharpen_hull
 from recon3d.volume import CarvingVolume
 
 _TAKEN = {
@@ -45,7 +47,7 @@ class Explanation(Summarised):
     settings: Settings
     """Resolved."""
     hull: PhotoHull
-    """The whole result."""
+    """The whole result; of a sharp one, what matching left, with the degrees of carving."""
     voxel: Voxel
     """(i, j, k)."""
     judgements: tuple[Judgement, ...]
@@ -54,6 +56,10 @@ class Explanation(Summarised):
     """View by view, in the scene's order."""
     chosen: str = ""
     """Why this voxel, where a pixel was asked about."""
+    carved: Label | None = None
+    """What carving had made of the voxel, before matching carved on; None: the result is not a sharp one."""
+    n_points: int = 0
+    """Points of a sharp result in the voxel."""
 
     @property
     def label(self) -> Label:
@@ -82,6 +88,8 @@ class Explanation(Summarised):
             Label.BACKGROUND: f"carved before any test: outside the silhouettes of {', '.join(self.excluded_by)}",
             Label.HIDDEN: "no pixel is free to show it: it lies inside, or behind accepted voxels in every view",
         }
+        if self.label == Label.INCONSISTENT and self.carved in (Label.HIDDEN, Label.CONSISTENT):
+            return "inconsistent: carved by matching, the surface that the photographs agree on lies behind it"
         if self.last is None or self.label in reasons:
             return f"{self.label.name.lower()}: {reasons.get(self.label, self._unjudged())}"
         return f"{self.label.name.lower()}: {_reason(self.last)}"
@@ -154,6 +162,10 @@ class Explanation(Summarised):
         if self.hull.distance is not None:
             depth = float(self.hull.distance[self.voxel]) / volume.voxel_size
             rows["distance"] = f"{abs(depth):.2f} voxels {'inside' if depth > 0 else 'outside'}"
+        if self.carved is not None:
+            rows["matching"] = (
+                f"carving left it {self.carved.name.lower()}; {self.n_points} points of the mesh lie in it"
+            )
         if self.settings.method in _UNKNOWN:
             rows["not known"] = _UNKNOWN[self.settings.method]
         if self.settings.test:
@@ -185,6 +197,7 @@ def explain(
     *,
     at: ArrayLike | None = None,
     pixel: tuple[str, float, float] | None = None,
+    stages: Stages | None = None,
 ) -> Explanation:
     """Carve once more, and tell what became of one voxel and why.
 
@@ -200,6 +213,7 @@ def explain(
         nearest to being accepted: of those that were judged the one with the highest degree, else the one that the
         fewest silhouettes exclude. ``chosen`` says which it is, and which carved voxel before an accepted one had the
         highest degree: where a hole shows what lies behind it, ask about that one by ``at``.
+    stages : as for ``reconstruct``; without those that a run with dense matching kept, it matches once more.
 
     Raises
     ------
@@ -214,18 +228,49 @@ def explain(
     scene = choose_views(scene, settings)
     volume = CarvingVolume.enclosing(scene.bounds, voxel_size=settings.voxel_size, n_voxels=settings.n_voxels)
     views = ViewArrays(scene)
+    asks = METHODS[settings.method].uses_test
     chosen = ""
     if pixel is not None:
         ray = voxels_on_ray(scene, volume, pixel)
-        voxel, chosen = most_telling(scene, views, carve(scene, volume, settings), ray)
+        carved = carve(scene, volume, settings, stages)
+        hull, points = _matched(scene, carved, settings, stages)
+        voxel, chosen = most_telling(scene, views, hull, ray)
+        chosen += _background(scene, pixel)
     else:
         voxel = voxel_at(volume, at)
     boxes, _, _ = views.footprints(np.array([voxel]), volume)
     watcher = VoxelWatcher(voxel, boxes[0], neighbour_offsets(_connectivity(settings)))
-    asks = METHODS[settings.method].uses_test
-    hull = carve(scene, volume, settings, **({"observer": watcher} if asks else {}))
-    evidence = view_evidence(scene, views, hull, watcher, asks=asks)
-    return Explanation(scene, settings, hull, voxel, tuple(watcher.judgements), evidence, chosen)
+    if asks:
+        carved = carve(scene, volume, settings, observer=watcher)
+    elif pixel is None:
+        carved = carve(scene, volume, settings, stages)
+    if pixel is None:
+        hull, points = _matched(scene, carved, settings, stages)
+    evidence = view_evidence(scene, views, carved, watcher, asks=asks)
+    found = Explanation(scene, settings, hull, voxel, tuple(watcher.judgements), evidence, chosen)
+    if points is None:
+        return found
+    inside = (np.floor((points - volume.origin) / volume.voxel_size) == voxel).all(axis=1)
+    return replace(found, carved=Label(int(carved.labels[voxel])), n_points=int(inside.sum()))
+
+
+def _matched(
+    scene: Scene, carved: PhotoHull, settings: Settings, stages: Stages | None
+) -> tuple[PhotoHull, NDArray[np.float32] | None]:
+    """Carved volume and, of a sharp result, points (n, 3): what matching leaves of it, with the degrees of carving."""
+    if settings.quality != "sharp":
+        return carved, None
+    cloud, left = sharpen_hull(scene, carved, stages=stages)
+    distance = None if carved.distance is None else left.distance
+    return replace(carved, volume=left.volume, labels=left.labels, distance=distance), cloud.point.positions.numpy()
+
+
+def _background(scene: Scene, pixel: tuple[str, float, float]) -> str:
+    """A remark where a pixel cannot show the object; empty where it may."""
+    name, u, v = pixel
+    silhouette = scene.subset([name]).views[0].silhouette
+    outside = silhouette is not None and not silhouette[math.floor(v + 0.5), math.floor(u + 0.5)]
+    return "; the silhouette leaves this pixel out" if outside else ""
 
 
 def _reason(judgement: Judgement) -> str:

@@ -123,7 +123,7 @@ def _draw_luminances(axes: Axes, views: Sequence[ViewEvidence]) -> None:
     """Every voting pixel at its luminance, in its own colour, a line for each view."""
     if not views:
         axes.axis("off")
-        axes.text(0.5, 0.5, "no pixel voted", ha="center", va="center", fontsize=9, transform=axes.transAxes)
+        axes.text(0.5, 0.5, "no test asked a pixel", ha="center", va="center", fontsize=9, transform=axes.transAxes)
         return
     for row, view in enumerate(views):
         values, colors = view.luminances, view.colors / 255

@@ -40,16 +40,19 @@ def plot_evaluation(evaluation: Evaluation, title: str = "") -> Figure:
     return figure
 
 
-def plot_trade_off(series: Mapping[str, Sequence[tuple[float, float, str]]], *, xlabel: str, ylabel: str) -> Figure:
+def plot_trade_off(
+    series: Mapping[str, Sequence[tuple[float, float, str]]], *, xlabel: str, ylabel: str, title: str = ""
+) -> Figure:
     """Named series of points (x, y, text) in one plane: what gains in one direction costs in the other."""
     figure = Figure(figsize=(7, 4.6), layout="constrained")
     axes = figure.subplots()
     for n, (name, points) in enumerate(series.items()):
         x, y, texts = zip(*points, strict=True)
-        axes.plot(x, y, marker="osD^vP*X"[n // 10 % 8], label=name)
+        axes.plot(x, y, marker="osD^vP*X"[n % 8], alpha=0.7, label=name)
         for point in zip(x, y, texts, strict=True):
             axes.annotate(point[2], point[:2], xytext=(4, 4), textcoords="offset points", fontsize=8)
     axes.set(xlabel=xlabel, ylabel=ylabel)
+    axes.set_title(title, fontsize=10)
     if series:
         figure.legend(loc="outside right upper")
     return figure

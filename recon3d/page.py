@@ -36,9 +36,9 @@ class Section:
         """The section in Markdown; each row of pictures is a table of its own."""
         parts = [f"## {self.title}", *self.text]
         if self.table:
-            parts.append(_markdown_table(self.table))
+            parts.append(markdown_table(self.table))
         for row in self.pictures:
-            parts.append(_markdown_table([[caption for _, caption in row], [f"![]({path})" for path, _ in row]]))
+            parts.append(markdown_table([[caption for _, caption in row], [f"![]({path})" for path, _ in row]]))
         return "\n\n".join(parts)
 
     def html(self) -> str:
@@ -72,7 +72,12 @@ def write_page(folder: Path | str, title: str, sections: Sequence[Section]) -> d
     }
 
 
-def _markdown_table(rows: Sequence[Sequence[str]]) -> str:
-    """Table with the first row as its head."""
-    lines = [f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in row)} |" for row in rows]
-    return "\n".join([lines[0], f"|{' --- |' * len(rows[0])}", *lines[1:]])
+def markdown_table(rows: Sequence[Sequence[str]], *, numbers: bool = False) -> str:
+    """Table in Markdown that reads as plain text, too: the first row is its head; numbers go after the first column."""
+    cells = [[cell.replace("|", r"\|") for cell in row] for row in rows]
+    widths = [max(3, *map(len, column)) for column in zip(*cells, strict=True)]
+    rule = ["-" * width if n == 0 or not numbers else "-" * (width - 1) + ":" for n, width in enumerate(widths)]
+    lines = [
+        [(str.rjust if numbers and n else str.ljust)(cell, widths[n]) for n, cell in enumerate(row)] for row in cells
+    ]
+    return "\n".join(f"| {' | '.join(line)} |" for line in [lines[0], rule, *lines[1:]])

@@ -188,7 +188,7 @@ def reconstruct(
         scene = choose_views(scene, settings)
     with _timed(timings, "carving"):
         volume = CarvingVolume.enclosing(scene.bounds, voxel_size=settings.voxel_size, n_voxels=settings.n_voxels)
-        hull = _carved(scene, volume, settings, stages, lambda done, total: report("carving", done, total))
+        hull = carve(scene, volume, settings, stages, progress=lambda done, total: report("carving", done, total))
     sharp = None
     if settings.quality == "sharp":
         with _timed(timings, "matching"):
@@ -240,6 +240,7 @@ def keep_stages(folder: Path | str, scene: Scene, settings: Settings) -> StageFo
     A test may be a user's own and change without a trace; carving by one is done again.
     """
     settings = settings.resolved(scene)
+    scene = choose_views(scene, settings)
     if settings.test is not None:
         return None
     chosen = ("n_voxels", "voxel_size", "method", "method_options", "views", "max_views")
@@ -248,31 +249,25 @@ def keep_stages(folder: Path | str, scene: Scene, settings: Settings) -> StageFo
     return StageFolder(folder, f"{code_fingerprint()} {scene.fingerprint()} {chosen_by}")
 
 
-def _carved(
-    scene: Scene,
-    volume: CarvingVolume,
-    settings: Settings,
-    stages: Stages | None,
-    progress: Callable[[int, int], None],
-) -> PhotoHull:
-    """The carved volume, if need be."""
-    if stages is not None and "carving" in stages:
-        return PhotoHull.from_arrays(volume, stages["carving"])
-    hull = carve(scene, volume, settings, progress=progress)
-    if stages is not None:
-        stages["carving"] = hull.arrays()
-    return hull
-
-
 def _carved_mesh(hull: PhotoHull, settings: Settings) -> o3d.geometry.TriangleMesh:
     """Mesh of the accepted voxels, or of all that is solid."""
     shell = METHODS[settings.method].one_sided and not settings.fill_hidden
     return mesh_volume(hull.volume if shell else hull.solid, distance=hull.distance, smoothing=settings.smoothing)
 
 
-def carve(scene: Scene, volume: CarvingVolume, settings: Settings, **callbacks: Any) -> PhotoHull:
-    """Carve a volume with the method and test of resolved settings; callbacks such as ``progress`` go to the method."""
-    return METHODS[settings.method].carve(scene, volume, settings.test, **callbacks, **settings.method_options)
+def carve(
+    scene: Scene, volume: CarvingVolume, settings: Settings, stages: Stages | None = None, **callbacks: Any
+) -> PhotoHull:
+    """Carve a volume with the method and test of resolved settings, or take what an earlier run kept of that.
+
+    Callbacks such as ``progress`` go to the method.
+    """
+    if stages is not None and "carving" in stages:
+        return PhotoHull.from_arrays(volume, stages["carving"])
+    hull = METHODS[settings.method].carve(scene, volume, settings.test, **callbacks, **settings.method_options)
+    if stages is not None:
+        stages["carving"] = hull.arrays()
+    return hull
 
 
 def evaluate_files(

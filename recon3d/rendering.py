@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from recon3d.casting import RayCaster
 from recon3d.errors import EmptyReconstructionError
 from recon3d.kernels.vertex_colors import facing_views
-from recon3d.scene import Scene, View
+from recon3d.scene import Scene, View, bounds_corners
 
 _CLEARANCE = 0.1  # pixel footprints before a vertex where its line of sight ends
 
@@ -188,6 +188,22 @@ def turntable(
         for camera in _orbit(center, radius, up, frames, 2 * size)
     ]
     return np.hstack([cv2.resize(p, (size, size), interpolation=cv2.INTER_AREA) for p in pictures])
+
+
+def portrait(picture: NDArray[np.uint8], view: View, scene: Scene) -> NDArray[np.uint8]:
+    """A picture from a view's camera, cut to what the scene's bounds cover and turned by quarters so that up is up."""
+    corners, depths = view.project(bounds_corners(scene.bounds))
+    if (depths > 0).all():
+        size = np.array([view.width, view.height])
+        low = np.clip(np.floor(corners.min(axis=0)), 0, size - 1).astype(int)
+        high = np.clip(np.ceil(corners.max(axis=0)), low, size - 1).astype(int)
+        picture = picture[low[1] : high[1] + 1, low[0] : high[0] + 1]
+    center = np.asarray(scene.bounds.get_center())
+    ends, _ = view.project(np.stack([center, center + 0.1 * scene.bounds.get_max_extent() * up_direction(scene)]))
+    right, down = ends[1] - ends[0]
+    if abs(right) > abs(down):
+        return np.rot90(picture, 1 if right > 0 else 3)
+    return np.rot90(picture, 2 if down > 0 else 0)
 
 
 def up_direction(scene: Scene) -> NDArray[np.float64]:

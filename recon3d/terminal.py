@@ -99,7 +99,12 @@ def make_test(name: str | None, options: list[str]) -> ConsistencyTest:
 
 def views_of(option: str) -> Any:
     """The settings' choice of views: "auto", "all" or a tuple of names."""
-    return option if option in ("auto", "all") else tuple(option.split(","))
+    return option if option in ("auto", "all") else names_of(option)
+
+
+def names_of(option: str) -> tuple[str, ...]:
+    """Names between commas."""
+    return tuple(name.strip() for name in option.split(","))
 
 
 def keywords(options: list[str]) -> dict[str, Any]:

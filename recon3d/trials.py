@@ -25,7 +25,7 @@ from recon3d.io.stages import code_fingerprint
 from recon3d.memory import peak_memory
 from recon3d.pipeline import Progress, Reconstruction, reconstruct
 from recon3d.quality import measure_quality
-from recon3d.rendering import Renderer
+from recon3d.rendering import Renderer, portrait
 from recon3d.scene import Scene, View
 from recon3d.settings import Settings, choose_views
 from recon3d.volume import CarvingVolume
@@ -55,9 +55,9 @@ class Trial:
     holes: int | None = None
     """Handles through the closed pieces of the mesh, and rims of its open ones."""
     floating: int | None = None
-    """Pieces beside the largest."""
-    floating_percent: float | None = None
-    """Their share of the area."""
+    """Pieces beside the largest, with the specks that the mesh goes without."""
+    roughness_degrees: float | None = None
+    """Mean angle between neighbouring triangles; see ``ShapeQuality.dihedral_degrees``."""
     median_error: float | None = None
     """Of re-projection, grey levels; see ``Reprojection``."""
     mean_error: float | None = None
@@ -99,10 +99,16 @@ class Contest:
             blank = [np.full((1, PICTURE_WIDTH, 3), 255, np.uint8)] * len(self.shown.views)
             return trial, labelled_row(f"{entry.label}: nothing left", blank, width=PICTURE_WIDTH)
         except ValueError as error:
-            raise ValueError(f"{entry.label}: {error}") from error
+            raise ValueError(f"{entry.label}: {str(error).removeprefix(f'{entry.family}: ')}") from error
         renderer = Renderer(result.mesh)
-        pictures = [renderer.render_view(view).picture() for view in self.shown.views]
-        return self._measured(entry, result, peak.mib), labelled_row(entry.label, pictures, width=PICTURE_WIDTH)
+        row = self.row(entry.label, [renderer.render_view(view).picture() for view in self.shown.views])
+        return self._measured(entry, result, peak.mib), row
+
+    def row(self, label: str, pictures: Sequence[NDArray[np.uint8]]) -> NDArray[np.uint8]:
+        """A row of the contact sheet: a picture from each camera, of the object alone."""
+        views = self.shown.views
+        cut = [portrait(picture, view, self.used) for picture, view in zip(pictures, views, strict=True)]
+        return labelled_row(label, cut, width=PICTURE_WIDTH)
 
     def _warm_up(self, settings: Settings) -> None:
         """Let a test and what carves with it be compiled and loaded."""
@@ -124,8 +130,8 @@ class Contest:
             result.timings["carving"],
             memory_mib,
             holes=shape.boundary_loops + (shape.genus or 0),
-            floating=shape.components - 1,
-            floating_percent=100 * shape.floating_share,
+            floating=shape.components - 1 + result.mending.specks,
+            roughness_degrees=shape.dihedral_degrees,
             median_error=photographs.median,
             mean_error=photographs.mean,
             rms_error=photographs.rms,

@@ -14,7 +14,7 @@ from open3d.geometry import TriangleMesh
 
 import recon3d
 from recon3d.carving import sweep_direction
-from recon3d.rendering import up_direction
+from recon3d.rendering import portrait
 from recon3d.scene import bounds_corners
 from recon3d.settings import choose_views
 
@@ -62,8 +62,8 @@ class Result:
         """The mesh from the middle view, upright; white where nothing was left."""
         view = self.scene.views[len(self.scene.views) // 2]
         if self.mesh is None:
-            return upright(np.full((view.height, view.width, 3), 255, np.uint8), view, self.scene)
-        return upright(recon3d.Renderer(self.mesh).render_view(view).picture(mode), view, self.scene)
+            return portrait(np.full((view.height, view.width, 3), 255, np.uint8), view, self.scene)
+        return portrait(recon3d.Renderer(self.mesh).render_view(view).picture(mode), view, self.scene)
 
 
 @dataclass(frozen=True)
@@ -123,13 +123,3 @@ def reconstruct_into(folder: Path, scene: recon3d.Scene, settings: recon3d.Setti
         recon3d.reconstruct(scene, replace(settings, n_voxels=1000))
     recon3d.reconstruct(scene, settings).save(folder, pictures=False)
     return dict(json.loads((folder / "record.json").read_text()))
-
-
-def upright(picture: NDArray[np.uint8], view: recon3d.View, scene: recon3d.Scene) -> NDArray[np.uint8]:
-    """A picture turned by quarters, so that up is up."""
-    center = np.asarray(scene.bounds.get_center())
-    ends, _ = view.project(np.stack([center, center + 0.1 * scene.bounds.get_max_extent() * up_direction(scene)]))
-    right, down = ends[1] - ends[0]
-    if abs(right) > abs(down):
-        return np.rot90(picture, 1 if right > 0 else 3)
-    return np.rot90(picture, 2 if down > 0 else 0)

@@ -16,6 +16,7 @@ import recon3d
 from recon3d import trials
 from recon3d.consistency import TESTS, Adaptive, FuzzySingle
 from recon3d.contestants import contestants, identity
+from recon3d.rendering import portrait
 from recon3d.terminal import sweep_of
 
 SETTINGS = recon3d.Settings(n_voxels=15_000, method="voxel-coloring")
@@ -109,6 +110,22 @@ def test_what_cannot_be_told_apart_has_no_identity() -> None:
     assert len({identity(test) for test in known} - {None}) == len(known)
 
 
+def test_a_test_from_a_module_is_swept_and_known_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    source = "class Own:\n    def __init__(self, level=0.5):\n        self.level = level\n    __call__ = print\n"
+    (tmp_path / "swept_own.py").write_text(source + "def plain(patches, level=0.5): ...\n")
+    monkeypatch.chdir(tmp_path)
+    names = ["swept_own:Own", "swept_own:plain"]
+    found = contestants([*names, "fuzzy"], ("level", (0.1, 0.2)))
+    assert [entry.label for entry in found] == [*(f"{name} level={x}" for name in names for x in (0.1, 0.2)), "fuzzy"]
+    assert [entry.test.options for entry in found[:4]] == 2 * [{"level": 0.1}, {"level": 0.2}]  # type: ignore[attr-defined]
+    told = [identity(entry.test) for entry in found]
+    assert None not in told
+    assert len(set(told)) == 5
+    assert told == [identity(entry.test) for entry in contestants([*names, "fuzzy"], ("level", (0.1, 0.2)))]
+    with pytest.raises(ValueError, match="expected a parameter among level, got 'height'"):
+        contestants(names, ("height", (1.0,)))
+
+
 def test_a_trial_is_what_the_test_does_alone(temple: recon3d.BuiltInScene, measured: recon3d.Comparison) -> None:
     names = [view.name for view in temple.scene.views]
     assert measured.conditions["left_out"] == names[3::4]
@@ -121,7 +138,8 @@ def test_a_trial_is_what_the_test_does_alone(temple: recon3d.BuiltInScene, measu
         assert trial.median_error == quality.overall.median
         assert trial.rms_error == quality.overall.rms
         assert trial.overlap_percent == 100 * quality.overall.overlap  # type: ignore[operator]
-        assert trial.floating == quality.shape.components - 1
+        assert trial.floating == quality.shape.components - 1 + alone.mending.specks > 0
+        assert trial.roughness_degrees == quality.shape.dihedral_degrees
         figures = recon3d.evaluate(alone.mesh, temple.ground_truth, spacing=SPACING)
         assert (trial.accuracy_mm, trial.completeness_percent) == (figures.accuracy_mm, figures.completeness_percent)
         assert trial.precision_percent == pytest.approx(100 * (figures.accuracy_distances <= 1.25).mean())
@@ -132,11 +150,13 @@ def test_a_test_that_leaves_nothing_is_a_row_of_its_own(measured: recon3d.Compar
     empty = measured.trials[1]
     assert (empty.label, empty.accepted, empty.holes) == ("standard-deviation threshold=0", 0, None)
     heading, _, row, *_ = measured.table()
-    assert row[heading.index("voxels")] == "0"
+    assert row[heading.index("accepted")] == "0"
     assert row[heading.index("accuracy (mm)")] == "-"
 
 
-def test_table_sheet_and_plot_are_written(measured: recon3d.Comparison, tmp_path: Path) -> None:
+def test_table_sheet_and_plot_are_written(
+    temple: recon3d.BuiltInScene, measured: recon3d.Comparison, tmp_path: Path
+) -> None:
     written = measured.save(tmp_path)
     assert json.loads(written["figures"].read_text())["trials"][0]["label"] == "fuzzy"
     lines = [line for line in written["table"].read_text().splitlines() if line.startswith("|")]
@@ -144,10 +164,14 @@ def test_table_sheet_and_plot_are_written(measured: recon3d.Comparison, tmp_path
     assert len({len(line) for line in lines}) == 1  # reads as plain text, too
     assert all(path.stat().st_size > 0 for path in written.values())
     # The photographs, three results of equal height, and one line of text for the one that left nothing.
-    height = 120 * 200 // 160
-    assert 4 * height < measured.sheet.shape[0] < 5 * height
+    shown = [temple.scene.views[n] for n in (0, 2, 5, 7)]
+    shapes = [portrait(view.image, view, temple.scene).shape for view in shown]
+    heights = [round(200 * height / width) for height, width, _ in shapes]
+    assert 4 * max(heights) < measured.sheet.shape[0] < 5 * max(heights)
     assert measured.sheet.shape[1] == 5 * 200
-    assert (measured.sheet[:height, 200:].mean(axis=(1, 2)) < 128).all()  # black background
+    for n, height in enumerate(heights):
+        photograph = measured.sheet[:height, 200 * (n + 1) : 200 * (n + 2)]
+        assert (photograph.mean(axis=(1, 2)) < 160).all()  # black background
     assert set(measured.summary()) == {trial.label for trial in measured.trials}
     assert "<th>completeness (%)</th>" in measured._repr_html_()
 
@@ -162,7 +186,7 @@ def test_the_trade_off_is_precision_against_completeness_where_a_ground_truth_is
     np.testing.assert_array_equal(axes.lines[1].get_xdata(), [trial.completeness_percent for trial in swept])
     np.testing.assert_array_equal(axes.lines[1].get_ydata(), [trial.precision_percent for trial in swept])
     assert [text.get_text() for text in axes.texts] == ["", "40", "60"]
-    for scene, xlabel in ((temple.scene, "overlap (%)"), (recon3d.without_silhouettes(temple.scene), "voxels")):
+    for scene, xlabel in ((temple.scene, "overlap (%)"), (recon3d.without_silhouettes(temple.scene), "accepted")):
         axes = recon3d.compare(scene, [accept_all], settings=SETTINGS).plot().axes[0]
         assert axes.get_xlabel() == xlabel
         assert len(axes.lines) == 1
@@ -251,6 +275,8 @@ def test_an_error_of_a_test_names_it(temple: recon3d.BuiltInScene) -> None:
 
     with pytest.raises(ValueError, match=r"^mine: .* judged 1 voxels of "):
         recon3d.compare(temple.scene, {"mine": short}, settings=SETTINGS)
+    with pytest.raises(ValueError, match=r"^mine: .*expected a Verdict, got int"):
+        recon3d.compare(temple.scene, {"mine": lambda _: 3}, settings=SETTINGS)  # type: ignore[dict-item,return-value]
 
 
 def test_a_sweep_on_the_command_line_holds_both_ends() -> None:

@@ -31,6 +31,7 @@ from recon3d import Explanation, Label, Scene, Settings, cli, explain
 from recon3d.carving import METHODS, sweep_direction
 from recon3d.carving.observing import CANDIDATE, path_to_consistent
 from recon3d.carving.voxel_coloring import neighbour_offsets
+from recon3d.datasets import BuiltInScene
 from recon3d.evidence import PixelKind
 from recon3d.pointing import voxels_on_ray
 from recon3d.scene import bounds_corners, make_bounds
@@ -286,6 +287,8 @@ def test_a_pixel_of_a_hole_means_what_came_nearest_to_being_accepted() -> None:
                 continue
             clicked = explain(world(), settings_of("voxel-coloring"), pixel=(view.name, column, row))
             assert kind in clicked.chosen
+            assert view.silhouette is not None
+            assert ("silhouette leaves this pixel out" in clicked.chosen) != view.silhouette[row, column]
             if judged:
                 assert hull.degree[clicked.voxel] == max(hull.degree[voxel] for voxel in judged)
             else:
@@ -334,6 +337,24 @@ def test_an_unknown_view_is_named_and_the_known_ones_too() -> None:
         explain(world(), settings_of("voxel-coloring"), pixel=("view77.png", 3, 3))
 
 
+def test_a_sharp_result_is_explained_with_what_matching_left(temple: BuiltInScene) -> None:
+    settings = Settings(n_voxels=8000, method="visual-hull", quality="sharp")
+    stages: dict[str, dict[str, NDArray[np.generic]]] = {}
+    sharp = recon3d.reconstruct(temple.scene, settings, stages=stages)
+    carved, hull = stages["carving"]["labels"], sharp.hull
+    away = np.argwhere((carved == Label.CONSISTENT) & (hull.labels == Label.INCONSISTENT))[0]
+    bared = np.argwhere((carved == Label.HIDDEN) & (hull.labels == Label.CONSISTENT))[0]
+    for voxel, outcome in ((away, "inconsistent: carved by matching, "), (bared, "consistent: kept, ")):
+        low = hull.volume.origin + hull.volume.voxel_size * voxel
+        found = explain(temple.scene, settings, at=low + 0.5 * hull.volume.voxel_size, stages=stages)
+        assert found.hull.counts() == hull.counts()
+        assert found.outcome().startswith(outcome)
+        points = np.asarray(sharp.points.points)
+        inside = ((points >= low) & (points < low + hull.volume.voxel_size)).all(axis=1).sum()
+        label = Label(int(carved[tuple(voxel)])).name.lower()
+        assert found.summary()["matching"] == f"carving left it {label}; {inside} points of the mesh lie in it"
+
+
 OWN_TEST = """
 import numpy as np
 from recon3d import Verdict
@@ -376,7 +397,7 @@ def test_a_saved_result_is_explained_with_its_own_scene_and_test(
     printed = capsys.readouterr()
     assert printed.err == ""  # the same voxels as recorded
     assert "consistent: accepted" in printed.out
-    assert "LoadedTest(path='my_own_test:at_most', options={'spread': 70})" in printed.out
+    assert "my_own_test:at_most(spread=70)" in printed.out
     assert "thresholds 0.7255 and 0.7255" in printed.out
     written = Path(printed.out.split("picture:")[1].strip())
     assert written.parent == saved / "explanations"

@@ -31,6 +31,9 @@ class AtLeast:
 def of_level(patches, level=0.5):
     return AtLeast(level)(patches)
 
+def broken(patches):
+    raise ZeroDivisionError("two\\nlines")
+
 class Nothing:
     pass
 
@@ -93,6 +96,14 @@ def test_what_cannot_be_loaded_is_said_in_one_line(name: str, options: dict[str,
     with pytest.raises(ValueError, match=message) as caught:
         load_test(name, **options)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.usefixtures("here")
+def test_what_a_users_own_test_raises_is_said_in_one_line_with_its_name() -> None:
+    test = load_test("users_own_tests:broken")
+    with pytest.raises(ValueError, match=r"^users_own_tests:broken: ZeroDivisionError: two lines$") as caught:
+        test(patches_of([[[[1, 2, 3]]]]))
+    assert isinstance(caught.value.__cause__, ZeroDivisionError)
 
 
 def test_the_tests_of_the_package_load_by_their_names() -> None:

@@ -21,8 +21,9 @@ def test_a_page_holds_the_same_in_markdown_and_in_html(tmp_path: Path) -> None:
         "# Title", "",
         "## One & two", "",
         "Before <the table>.", "",
-        "|  | a\\|b |", "| --- | --- |", "| row | 1 < 2 |", "",
-        "| left | right |", "| --- | --- |", "| ![](pictures/left.png) | ![](pictures/right.png) |", "",
+        "|     | a\\|b  |", "| --- | ----- |", "| row | 1 < 2 |", "",
+        "| left                   | right                   |", "| ---------------------- | ----------------------- |",
+        "| ![](pictures/left.png) | ![](pictures/right.png) |", "",
         "## Bare",
     ]  # fmt: skip
     page = written["HTML"].read_text()

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from scenes import ball_mesh, cameras, photographs, plain_view, rotation
 
 from recon3d.datasets.synthetic import BuiltInScene
-from recon3d.rendering import MODES, Renderer, comparison_sheet, look_at, pixel_rays, turntable, up_direction
-from recon3d.scene import Scene, make_bounds
+from recon3d.rendering import MODES, Renderer, comparison_sheet, look_at, pixel_rays, portrait, turntable, up_direction
+from recon3d.scene import Scene, View, bounds_corners, make_bounds
 
 K = np.array([[61.0, 4.0, 30.3], [0, 55.0, 22.1], [0, 0, 1]])  # skew, unequal focal lengths, off centre
 WIDTH, HEIGHT = 64, 48
@@ -262,3 +262,22 @@ def test_a_world_far_from_its_origin_renders_alike(temple: BuiltInScene) -> None
     assert (near.hit == there.hit).mean() > 0.999
     both = near.hit & there.hit
     assert np.quantile(np.abs(near.depth[both] - there.depth[both]), 0.99) < 1e-5
+
+
+def test_a_portrait_is_cut_to_the_bounds_and_upright_whichever_way_the_camera_was_held(temple: BuiltInScene) -> None:
+    scene = temple.scene
+    level = scene.views[3]
+    K = np.diag(level.K.diagonal())  # without skew, so that a turned camera is one, too
+    K[:2, 2] = level.K[:2, 2]
+    view = View.from_matrices(K, level.cam_from_world, level.image)
+    upright = portrait(view.image, view, scene)
+    corners, _ = view.project(bounds_corners(scene.bounds))
+    np.testing.assert_allclose(upright.shape[1::-1], np.ptp(corners, axis=0) + 1, rtol=0, atol=2)
+    u, v = corners.min(axis=0).astype(int)
+    np.testing.assert_array_equal(upright, view.image[v : v + upright.shape[0], u : u + upright.shape[1]])
+    turn = np.array([[0.0, 1, 0, 0], [-1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+    for _ in range(3):
+        K = view.K[[1, 0, 2]][:, [1, 0, 2]]  # (u, v) becomes (v, width - 1 - u)
+        K[1, 2] = view.width - 1 - K[1, 2]
+        view = View.from_matrices(K, turn @ view.cam_from_world, np.rot90(view.image).copy())
+        np.testing.assert_array_equal(portrait(view.image, view, scene), upright)

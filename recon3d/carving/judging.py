@@ -35,8 +35,10 @@ def judge(
 
 
 def _checked(test: ConsistencyTest, patches: Patches) -> Verdict:
-    """The test's verdict, if it is of the batch's length."""
+    """The test's verdict, if it is one, of the batch's length."""
     verdict = test(patches)
+    if not isinstance(verdict, Verdict):
+        raise ValueError(f"{test!r}: expected a Verdict, got {type(verdict).__name__}")
     if len(verdict.degree) != patches.n_voxels:
         raise ValueError(f"{test!r} judged {len(verdict.degree)} voxels of {patches.n_voxels}")
     return verdict

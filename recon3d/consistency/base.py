@@ -116,6 +116,22 @@ class ConsistencyTest(Protocol):
         """Judge every voxel of the batch from its pixels alone; the batch may be empty."""
 
 
+class AroundTest:
+    """What a test around another one wants: what that one does."""
+
+    test: ConsistencyTest
+
+    @property
+    def needs_directions(self) -> bool:
+        """Whether the test does."""
+        return bool(getattr(self.test, "needs_directions", False))
+
+    @property
+    def window_side(self) -> int:
+        """Of the windows that the test wants; 0: none."""
+        return int(getattr(self.test, "window_side", 0))
+
+
 def verdict_of(value: NDArray[np.float64], limit: NDArray[np.float64] | float) -> Verdict:
     """Verdict of a test that accepts a measure of inconsistency (n_voxels,), 0 or more, at or below its limit.
 

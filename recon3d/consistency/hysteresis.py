@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from recon3d.consistency.base import ConsistencyTest, Patches, Verdict
+from recon3d.consistency.base import AroundTest, ConsistencyTest, Patches, Verdict
 
 
 @dataclass(frozen=True)
-class Hysteresis:
+class Hysteresis(AroundTest):
     """Any photo-consistency test with a band of candidates around its threshold.
 
     The test's degree stays as it is. A voxel is a candidate where its degree lies within ``margin`` of the threshold,
@@ -31,16 +31,6 @@ class Hysteresis:
             raise ValueError(f"expected a photo-consistency test, got {self.test!r}")
         if self.margin is not None and not 0 <= self.margin <= 1:
             raise ValueError(f"expected a margin between 0 and 1, got {self.margin}")
-
-    @property
-    def needs_directions(self) -> bool:
-        """Whether the test does."""
-        return bool(getattr(self.test, "needs_directions", False))
-
-    @property
-    def window_side(self) -> int:
-        """Of the windows that the test wants; 0: none."""
-        return int(getattr(self.test, "window_side", 0))
 
     def __call__(self, patches: Patches) -> Verdict:
         """The test's verdict with wider or narrower thresholds."""

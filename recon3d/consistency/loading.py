@@ -10,33 +10,35 @@ from functools import partial
 from inspect import isfunction, signature
 from pathlib import Path
 
-from recon3d.consistency.base import ConsistencyTest, Patches, Verdict
+from recon3d.consistency.base import AroundTest, ConsistencyTest, Patches, Verdict
 
 
-@dataclass(frozen=True)
-class LoadedTest:
+@dataclass(frozen=True, repr=False)
+class LoadedTest(AroundTest):
     """A user's own test, and how to make it again."""
 
     path: str
     """Where it was found, as "module:name"."""
     options: Mapping[str, object]
     """What it was made with."""
-    test: ConsistencyTest = field(repr=False, compare=False)
+    test: ConsistencyTest = field(compare=False)
     """Judges."""
 
-    @property
-    def needs_directions(self) -> bool:
-        """Whether the test does."""
-        return bool(getattr(self.test, "needs_directions", False))
-
-    @property
-    def window_side(self) -> int:
-        """Of the windows that the test wants; 0: none."""
-        return int(getattr(self.test, "window_side", 0))
+    def __repr__(self) -> str:
+        options = ", ".join(f"{name}={value!r}" for name, value in self.options.items())
+        return f"{self.path}({options})" if options else self.path
 
     def __call__(self, patches: Patches) -> Verdict:
-        """The test's verdict."""
-        return self.test(patches)
+        """The test's verdict.
+
+        Raises
+        ------
+        ValueError : the test raised something; one line.
+        """
+        try:
+            return self.test(patches)
+        except Exception as error:  # whatever a user's own code does
+            raise ValueError(f"{self.path}: {type(error).__name__}: {_one_line(error)}") from error
 
 
 def load_by_path(path: str, options: Mapping[str, object]) -> LoadedTest:
@@ -80,7 +82,11 @@ def _import(name: str) -> object:
         missing = error.name if isinstance(error, ModuleNotFoundError) else None
         if missing and (name == missing or name.startswith(f"{missing}.")):
             raise ValueError(f"no module {name!r} in {here} or where Python looks") from None
-        text = " ".join(str(error).split())
-        raise ValueError(f"cannot import {name}: {type(error).__name__}: {text}") from error
+        raise ValueError(f"cannot import {name}: {type(error).__name__}: {_one_line(error)}") from error
     finally:
         sys.path.remove(here)
+
+
+def _one_line(error: Exception) -> str:
+    """What an error says."""
+    return " ".join(str(error).split())
