@@ -122,7 +122,7 @@ def assert_same_result(one: Reconstruction, two: Reconstruction) -> None:
     np.testing.assert_array_equal(one.support, two.support)
 
 
-ALL = ["carving", *(f"pass {p} view {n}" for p in (1, 2) for n in (1, 2, 3, 4))]
+ALL = ["carving", *(f"pass {p} view {n}" for p in range(1, 1 + len(PASSES)) for n in (1, 2, 3, 4))]
 
 
 @pytest.mark.parametrize("count", [1, 6])

@@ -22,13 +22,14 @@ Stages = MutableMapping[str, dict[str, NDArray[np.generic]]]
 """Arrays by name of every finished stage, kept for a later run."""
 
 PASSES = (
-    Matching(cavities=0.3),  # into the cavities that carving left filled
+    Matching(cavities=0.3, stride=4, rounds=3),  # into the cavities that carving left filled
+    Matching(cavities=0.3, stride=4, rounds=3),  # and into what is seen only through these
     Matching(cavities=0.3, radius=4, spacing=1),  # as finely as the photographs allow
 )
 """How the views are matched, one pass after the other."""
 
-_PRIOR = 0.02  # weight of the vote for solid; a clear match weighs up to one
-_BLUR = 0.5  # of the votes, voxels
+_PRIOR = 0.05  # weight of the vote for solid; a clear match weighs up to one
+_BLUR = 1.0  # of the votes, voxels
 _TRUNCATION = 4.0  # voxels before and behind a depth where it is evidence
 
 
@@ -44,8 +45,8 @@ def sharpen(
 
     The carved surface gives every pixel of a view a first depth and a normal, and says which other views see it. Each
     pixel then looks for the plane on which the window around it agrees best with those views, helped by its
-    neighbours' planes; planes that other views confirm become points. A second pass does so from the surface that
-    the first one's depths carve.
+    neighbours' planes; planes that other views confirm become points. Each further pass does so from the surface that
+    the depths of the pass before carve.
 
     Parameters
     ----------
