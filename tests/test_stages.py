@@ -16,6 +16,7 @@ import recon3d
 from recon3d import PhotoHull, Reconstruction, Scene, Settings, make_bounds
 from recon3d.io import StageFolder
 from recon3d.pipeline import keep_stages
+from recon3d.stereo import PASSES
 
 ARRAYS = {"planes": np.arange(12, dtype=np.float32).reshape(2, 2, 3), "costs": np.ones((2, 2), np.float32)}
 SETTINGS = Settings(n_voxels=8000)
