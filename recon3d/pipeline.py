@@ -61,7 +61,8 @@ class Reconstruction(Summarised):
     confidence: NDArray[np.float64] | None
     """(n_points,) of matched points, in (0, 1); None of voxels."""
     mesh: o3d.geometry.TriangleMesh
-    """Smooth, coloured from the views; closed unless what is unsupported was left out."""
+    """Smooth, coloured from the views; closed, but for rims that ``quality`` counts, unless what is unsupported was
+    left out."""
     support: NDArray[np.int64]
     """(n_vertices,) how many views see each vertex of the mesh; of a sharp mesh 0 where no point lies near it. Where
     it is 0, the hull closes the mesh."""
