@@ -11,6 +11,7 @@ import open3d as o3d
 import pytest
 
 import recon3d
+from recon3d.stereo import PASSES
 
 
 def run(*arguments: object, expect: int = 0) -> subprocess.CompletedProcess[str]:
@@ -105,7 +106,7 @@ def test_the_surface_may_be_made_again_from_the_stages_that_are_kept(photographs
     run(*command)
     assert chosen() == ["sharp", "poisson", True]
     made = {path.name: path.stat().st_mtime_ns for path in (tmp_path / "stages").iterdir()}
-    assert len(made) == 1 + 2 * 3  # carving, and two passes over three views
+    assert len(made) == 1 + 3 * len(PASSES)  # carving, and every pass over three views
     assert unsupported() > 0.2  # three views see a half of it
     run(*command, "--surface", "graph-cut", "--no-keep-unsupported")
     assert chosen() == ["sharp", "graph-cut", False]
