@@ -38,7 +38,7 @@ from recon3d.rendering import Renderer, comparison_sheet, keep_vertices, turntab
 from recon3d.scene import Scene
 from recon3d.settings import Settings, choose_views
 from recon3d.stereo import Stages, mesh_points, near_points, sharpen_hull
-from recon3d.surface import mesh_volume, surface_points
+from recon3d.surface import mesh_shape, surface_points
 from recon3d.volume import CarvingVolume
 
 _SPACING = 1.5  # of a sharp surface's finest detail, pixel footprints
@@ -253,7 +253,7 @@ def keep_stages(folder: Path | str, scene: Scene, settings: Settings) -> StageFo
 def _carved_mesh(hull: PhotoHull, settings: Settings) -> o3d.geometry.TriangleMesh:
     """Mesh of the accepted voxels, or of all that is solid."""
     shell = METHODS[settings.method].one_sided and not settings.fill_hidden
-    return mesh_volume(hull.volume if shell else hull.solid, distance=hull.distance, smoothing=settings.smoothing)
+    return mesh_shape(hull.volume if shell else hull.solid, distance=hull.distance, smoothing=settings.smoothing)
 
 
 def carve(

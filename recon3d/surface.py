@@ -31,14 +31,29 @@ def mesh_volume(
     distance: NDArray[np.float32] | None = None,
     smoothing: int = 5,
 ) -> o3d.geometry.TriangleMesh:
-    """Smooth closed mesh of the occupied voxels, coloured at its vertices, normals outwards.
+    """Smooth closed mesh of the occupied voxels, coloured at its vertices by the nearest voxels, normals outwards.
+
+    Parameters
+    ----------
+    colors_from : volume whose occupied voxels lend their colours; the volume itself when None.
+    distance, smoothing : of the shape, see ``mesh_shape``.
+    """
+    mesh = mesh_shape(volume, distance=distance, smoothing=smoothing)
+    colors = nearest_colors(colors_from or volume, np.asarray(mesh.vertices))
+    mesh.vertex_colors = o3d.utility.Vector3dVector(colors)
+    return mesh
+
+
+def mesh_shape(
+    volume: CarvingVolume, *, distance: NDArray[np.float32] | None = None, smoothing: int = 5
+) -> o3d.geometry.TriangleMesh:
+    """Smooth closed mesh of the occupied voxels, without colours, normals outwards.
 
     Marching cubes between voxel centres, the volume's border counting as empty, on a blurred occupancy that keeps
     every voxel on its side of the level, so that nothing thin is lost; then Taubin's smoothing, which does not shrink.
 
     Parameters
     ----------
-    colors_from : volume whose occupied voxels lend their colours; the volume itself when None.
     distance : (nx, ny, nz) signed distance of voxel centres to a surface that holds the volume, world units, positive
         inside. The mesh follows it to a fraction of a voxel where no more was carved.
     smoothing : pairs of Taubin steps; 0 keeps the marching cubes' facets.
@@ -52,10 +67,7 @@ def mesh_volume(
     occupied = np.pad(volume.occupied, _PADDING)
     if distance is not None:
         distance = np.pad(distance, _PADDING, constant_values=-volume.voxel_size)
-    mesh = mesh_level(_level_field(occupied, distance, volume.voxel_size), 0.5, volume, _PADDING, smoothing)
-    colors = nearest_colors(colors_from or volume, np.asarray(mesh.vertices))
-    mesh.vertex_colors = o3d.utility.Vector3dVector(colors)
-    return mesh
+    return mesh_level(_level_field(occupied, distance, volume.voxel_size), 0.5, volume, _PADDING, smoothing)
 
 
 def mesh_level(

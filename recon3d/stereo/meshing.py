@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from recon3d.carving import PhotoHull
 from recon3d.stereo.graph_cut import graph_cut
-from recon3d.surface import blend_colors, mesh_volume
+from recon3d.surface import blend_colors, mesh_shape
 
 Surface = Literal["poisson", "graph-cut"]
 """Screened Poisson reconstruction, or the minimum cut of the carved volume."""
@@ -80,7 +80,7 @@ def near_points(places: NDArray[np.float64], points: o3d.t.geometry.PointCloud, 
 
 def _closed_by_hull(points: o3d.t.geometry.PointCloud, hull: PhotoHull, spacing: float) -> o3d.geometry.PointCloud:
     """The points, and the hull's surface where it lies far from all of them."""
-    shell = mesh_volume(hull.solid, distance=hull.distance)
+    shell = mesh_shape(hull.solid, distance=hull.distance)
     vertices = np.asarray(shell.vertices)
     gap = ~near_points(vertices, points, spacing)
     cloud = o3d.geometry.PointCloud(

@@ -16,7 +16,7 @@ from recon3d.carving.vote_carving import carve_by_depths, hull_of_field
 from recon3d.scene import Scene
 from recon3d.stereo.depth_maps import DepthMap, Matcher, Matching
 from recon3d.stereo.fusion import Fusion, fuse
-from recon3d.surface import mesh_volume
+from recon3d.surface import mesh_shape
 
 Stages = MutableMapping[str, dict[str, NDArray[np.generic]]]
 """Arrays by name of every finished stage, kept for a later run."""
@@ -84,7 +84,7 @@ def sharpen_hull(
     stages = {} if stages is None else stages
     n_steps = len(passes) * len(scene.views)
     for n_pass, matching in enumerate(passes):
-        matcher = Matcher(scene, mesh_volume(hull.solid, distance=hull.distance), matching)
+        matcher = Matcher(scene, mesh_shape(hull.solid, distance=hull.distance), matching)
         depth_maps = []
         for n in range(len(scene.views)):
             name = f"pass {n_pass + 1} view {n + 1}"
