@@ -1,4 +1,4 @@
-"""Dense matching inside the carved hull: for every view a plane at every second pixel."""
+"""Dense matching inside the carved hull: for every view a plane at every few pixels."""
 
 from __future__ import annotations
 
