@@ -26,7 +26,7 @@ import numpy as np
 import plotly.graph_objects as go
 
 import recon3d
-from recon3d.consistency import alternating_harmonic
+from recon3d.consistency.fuzzy import alternating_harmonic
 
 scene = recon3d.little_temple(n_views=8, width=320, height=240, noise=4).scene
 scene

@@ -23,7 +23,7 @@ The main job::
     scene = recon3d.open_scene("templeSparseRing")
     result = recon3d.reconstruct(scene)
     print(recon3d.evaluate(result.mesh, recon3d.read_mesh("ground_truth.ply")).summary())
-    result.save("out")
+    recon3d.save(result, "out")
 """
 
 import os

@@ -1,8 +1,6 @@
 from ._version import __version__ as __version__
 from .carving import (
     METHODS,
-    Label,
-    PhotoHull,
     fine_generalized_voxel_coloring,
     fine_visual_hull,
     generalized_voxel_coloring,
@@ -14,8 +12,6 @@ from .carving import (
     vote_carving,
     voxel_coloring,
 )
-from .coloring import color_from_views
-from .comparison import Comparison, compare
 from .consistency import (
     TESTS,
     ConsistencyTest,
@@ -35,9 +31,17 @@ from .errors import (
     VisibilityError,
     VolumeTooLargeError,
 )
-from .evaluation import Evaluation, error_map, evaluate, triangles_near
-from .explanation import Explanation, explain
-from .figures import plot_evaluation, save_evaluation, show_mesh
+from .evaluation import (
+    Evaluation,
+    Quality,
+    Reprojection,
+    ShapeQuality,
+    evaluate,
+    evaluate_files,
+    measure_quality,
+    triangles_near,
+)
+from .explaining import Explanation, explain
 from .io import (
     StageFolder,
     open_scene,
@@ -48,37 +52,37 @@ from .io import (
     write_geometry,
     write_middlebury,
 )
-from .mending import Mending, drop_specks, mend_mesh
-from .pipeline import (
-    Reconstruction,
-    evaluate_files,
-    reconstruct,
-    save_error_maps,
-    save_pictures,
-)
-from .quality import Quality, Reprojection, ShapeQuality, measure_quality
-from .rendering import (
-    Renderer,
-    Rendering,
-    comparison_sheet,
-    count_seeing_views,
-    seeing_views,
-    turntable,
-    without_unseen,
-)
-from .scene import Scene, View, make_bounds
-from .settings import Settings
-from .silhouettes import (
+from .pipeline import reconstruct
+from .rendering import Renderer, Rendering, comparison_sheet, turntable
+from .reporting import error_map, plot_evaluation, save, save_error_maps, save_evaluation, save_pictures, show_mesh
+from .result import Reconstruction
+from .scene import (
+    Scene,
+    View,
+    make_bounds,
     with_mask_files,
     with_segmented_silhouettes,
     with_threshold_silhouettes,
     without_silhouettes,
 )
-from .sparse import SparseVolume
-from .stereo import Matching, graph_cut, mesh_points, sharpen, sharpen_hull
-from .surface import mesh_sparse, mesh_volume, surface_points
-from .trials import Trial
-from .volume import CarvingVolume
+from .settings import Settings
+from .stereo import Matching, sharpen, sharpen_hull
+from .study import Comparison, Trial, compare
+from .surface import (
+    Mending,
+    color_from_views,
+    count_seeing_views,
+    drop_specks,
+    graph_cut,
+    mend_mesh,
+    mesh_points,
+    mesh_sparse,
+    mesh_volume,
+    seeing_views,
+    surface_points,
+    without_unseen,
+)
+from .volume import CarvingVolume, Label, PhotoHull, SparseVolume
 
 __all__ = [
     "METHODS",
@@ -148,6 +152,7 @@ __all__ = [
     "read_support",
     "reconstruct",
     "roxels",
+    "save",
     "save_error_maps",
     "save_evaluation",
     "save_pictures",

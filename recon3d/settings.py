@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, is_dataclass, replace
-from functools import partial
-from inspect import Parameter, isfunction, signature
+from dataclasses import dataclass, field, fields, replace
+from inspect import Parameter, signature
 from typing import Any, Literal, get_args
 
 import numpy as np
 
-from recon3d.carving import METHODS, largest_admissible_views, spread_views
-from recon3d.consistency import TESTS, ConsistencyTest, FuzzyAdaptiveHysteresis, Hysteresis, load_test
-from recon3d.consistency.loading import LoadedTest
-from recon3d.errors import DataError
-from recon3d.scene import Scene
-from recon3d.stereo import Surface
+from recon3d.carving import METHODS
+from recon3d.carving.visibility import largest_admissible_views, spread_views
+from recon3d.consistency.base import ConsistencyTest
+from recon3d.consistency.fuzzy import FuzzyAdaptiveHysteresis
+from recon3d.consistency.spec import _record_of, _restored
+from recon3d.scene.scene import Scene
+from recon3d.surface.poisson import Surface
 
 _CALLBACKS = ("progress", "observer")  # keywords of methods that are no options
+
+
 _ACCEPTED = {int: (int, np.integer), float: (int, float, np.integer, np.floating), str: (str,)}
 
 
@@ -131,48 +133,6 @@ class Settings:
             raise ValueError(f"unknown settings {', '.join(sorted(unknown))}")
         values: dict[str, Any] = {name: _restored(value) for name, value in record.items()}
         return cls(**values)
-
-
-def _record_of(test: Any) -> dict[str, Any]:
-    """What a test is and its parameters; a test inside a test likewise."""
-    if isinstance(test, LoadedTest):
-        return {"class": test.path, **test.options}
-    if isinstance(test, partial):
-        return {**_record_of(test.func), **test.keywords}
-    known = is_dataclass(test) and not isinstance(test, type)
-    parameters = {parameter.name: getattr(test, parameter.name) for parameter in fields(test)} if known else {}
-    return {"class": _name_of(test), **{n: _record_of(v) if callable(v) else v for n, v in parameters.items()}}
-
-
-def _name_of(test: Any) -> str:
-    """Class of one of the package's tests; module:name of a user's that can be made again by it, else module.name."""
-    kind = test if isfunction(test) else type(test)
-    if kind in _KINDS.values():
-        return str(kind.__qualname__)
-    sign = ":" if isfunction(test) or is_dataclass(test) else "."
-    return f"{kind.__module__}{sign}{kind.__qualname__}"
-
-
-_KINDS: dict[str, Any] = {getattr(kind, "__qualname__", ""): kind for kind in (*TESTS.values(), Hysteresis)}
-
-
-def _restored(value: Any) -> Any:
-    """A parameter as it was before it went through JSON: a tuple, a test, or itself."""
-    if isinstance(value, list):
-        return tuple(value)
-    return _test_of(value) if isinstance(value, dict) and "class" in value else value
-
-
-def _test_of(record: Mapping[str, Any]) -> ConsistencyTest:
-    """The test that a record tells of."""
-    name = record["class"]
-    parameters = {key: _restored(value) for key, value in record.items() if key != "class"}
-    if name in _KINDS:
-        test: ConsistencyTest = _KINDS[name](**parameters)
-        return test
-    if ":" in name:
-        return load_test(name, **parameters)
-    raise DataError(f"the test {name} was given as an object: its parameters are not known, so it cannot be made again")
 
 
 def choose_views(scene: Scene, settings: Settings) -> Scene:

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from open3d.geometry import TriangleMesh
 
 import recon3d
-from recon3d.carving import sweep_direction
-from recon3d.rendering import portrait
-from recon3d.scene import bounds_corners
+from recon3d.carving.visibility import sweep_direction
+from recon3d.rendering.sheets import portrait
+from recon3d.scene.bounds import bounds_corners
 from recon3d.settings import choose_views
 
 HEAD = ("", "voxels accepted", "carving", "accuracy (90%)", "completeness (1.25 mm)")
@@ -121,5 +121,5 @@ def reconstruct_into(folder: Path, scene: recon3d.Scene, settings: recon3d.Setti
     """Reconstruct and save; returns the record."""
     with suppress(recon3d.EmptyReconstructionError):  # compiled first, so that the time is the method's own
         recon3d.reconstruct(scene, replace(settings, n_voxels=1000))
-    recon3d.reconstruct(scene, settings).save(folder, pictures=False)
+    recon3d.save(recon3d.reconstruct(scene, settings), folder, pictures=False)
     return dict(json.loads((folder / "record.json").read_text()))

@@ -22,11 +22,12 @@ from numpy.typing import NDArray
 from paper_runs import HEAD, DataSet, Result, first_views, photographs
 
 import recon3d
-from recon3d.consistency import TESTS, FuzzySingle, alternating_harmonic
-from recon3d.figures import plot_evaluation
+from recon3d.consistency import TESTS
+from recon3d.consistency.fuzzy import FuzzySingle, alternating_harmonic
 from recon3d.io.files import atomic_path, write_image
-from recon3d.page import Section, write_page
-from recon3d.rendering import portrait
+from recon3d.rendering.sheets import portrait
+from recon3d.reporting.figures import plot_evaluation
+from recon3d.reporting.page import Section, write_page
 
 PAPER = {"TempleSparseRing": (8.97, 72.1, 310), "DinoSparseRing": (8.12, 70.0, 375)}
 """Accuracy (mm), completeness (%) and seconds of the proposed method, Table 1."""

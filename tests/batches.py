@@ -7,7 +7,7 @@ import zlib
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from recon3d.consistency import Patches, Verdict
+from recon3d.consistency.base import Patches, Verdict
 
 WINDOW_SIDE = 5
 

@@ -11,10 +11,11 @@ from math import ceil, floor
 import numpy as np
 from numpy.typing import NDArray
 
-from recon3d.carving import Label
-from recon3d.rendering import pixel_rays
-from recon3d.scene import Scene, View
-from recon3d.volume import CarvingVolume
+from recon3d.rendering.renderer import pixel_rays
+from recon3d.scene.scene import Scene
+from recon3d.scene.view import View
+from recon3d.volume.carved import Label
+from recon3d.volume.dense import CarvingVolume
 
 Voxel = tuple[int, int, int]
 Pixel = tuple[int, int]

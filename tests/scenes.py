@@ -10,9 +10,11 @@ import open3d as o3d
 from numpy.typing import NDArray
 
 from recon3d.datasets.synthetic import Camera, photograph, ring
-from recon3d.scene import Scene, View, make_bounds
-from recon3d.sparse import SparseVolume
-from recon3d.volume import CarvingVolume
+from recon3d.scene.bounds import make_bounds
+from recon3d.scene.scene import Scene
+from recon3d.scene.view import View
+from recon3d.volume.dense import CarvingVolume
+from recon3d.volume.sparse import SparseVolume
 
 ORIGIN = np.zeros(3)
 

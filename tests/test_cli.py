@@ -11,7 +11,7 @@ import open3d as o3d
 import pytest
 
 import recon3d
-from recon3d.stereo import PASSES
+from recon3d.stereo.refinement import PASSES
 
 
 def run(*arguments: object, expect: int = 0) -> subprocess.CompletedProcess[str]:

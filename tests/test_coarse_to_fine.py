@@ -24,26 +24,25 @@ from scenes import (
 )
 from scipy.spatial import cKDTree
 
-from recon3d.carving import (
-    PhotoHull,
-    fine_generalized_voxel_coloring,
-    fine_visual_hull,
-    generalized_voxel_coloring,
-    visual_hull,
-)
 from recon3d.carving.bricks import BYTES_PER_BRICK, BrickItems, Bricks
-from recon3d.carving.views import ViewArrays
-from recon3d.carving.visual_hull import outline_distance
-from recon3d.consistency import ConsistencyTest, FuzzyAdaptiveHysteresis, Patches, StandardDeviation, Verdict
+from recon3d.carving.coarse_to_fine import fine_generalized_voxel_coloring, fine_visual_hull
+from recon3d.carving.generalized import generalized_voxel_coloring
+from recon3d.carving.start import outline_distance
+from recon3d.carving.visual_hull import visual_hull
+from recon3d.consistency.base import ConsistencyTest, Patches, Verdict
+from recon3d.consistency.deviation import StandardDeviation
+from recon3d.consistency.fuzzy import FuzzyAdaptiveHysteresis
 from recon3d.datasets.synthetic import BuiltInScene, little_temple
 from recon3d.errors import EmptyReconstructionError, SceneError, VolumeTooLargeError
 from recon3d.kernels.brick_rays import next_brick
 from recon3d.kernels.bricks import BRICK, EMPTY, SOLID
 from recon3d.kernels.item_buffer import next_voxel
-from recon3d.scene import Scene, make_bounds
-from recon3d.silhouettes import without_silhouettes
-from recon3d.sparse import SparseVolume
-from recon3d.volume import CarvingVolume
+from recon3d.scene.bounds import make_bounds
+from recon3d.scene.scene import Scene
+from recon3d.scene.silhouettes import without_silhouettes
+from recon3d.volume.carved import PhotoHull
+from recon3d.volume.dense import CarvingVolume
+from recon3d.volume.sparse import SparseVolume
 
 
 def scene_named(name: str, temple: BuiltInScene) -> Scene:
@@ -162,7 +161,7 @@ def test_the_item_buffer_of_bricks_is_brute_force_ray_casting_after_every_round(
     volume = CarvingVolume.enclosing(scene.bounds, n_voxels=6000)
     bricks = Bricks(volume.origin, np.array(volume.shape), volume.voxel_size)
     bricks.store_ends()
-    buffer = BrickItems(ViewArrays(scene), bricks)
+    buffer = BrickItems(scene.packed, bricks)
     occupied = volume.occupied.copy()
     rng = np.random.default_rng(3)
     for _ in range(4):

@@ -13,11 +13,14 @@ import open3d as o3d
 import pytest
 
 import recon3d
-from recon3d import trials
-from recon3d.consistency import TESTS, Adaptive, FuzzySingle
-from recon3d.contestants import contestants, identity
-from recon3d.rendering import portrait
-from recon3d.terminal import sweep_of
+from recon3d.cli.arguments import sweep_of
+from recon3d.consistency import TESTS
+from recon3d.consistency.deviation import Adaptive
+from recon3d.consistency.fuzzy import FuzzySingle
+from recon3d.consistency.spec import identity
+from recon3d.rendering.sheets import portrait
+from recon3d.study import trials
+from recon3d.study.variants import contestants
 
 SETTINGS = recon3d.Settings(n_voxels=15_000, method="voxel-coloring")
 SPACING = 2e-3

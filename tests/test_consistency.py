@@ -8,15 +8,10 @@ import pytest
 from batches import WINDOW_SIDE, outcome, patches_of, random_batch, window_of
 from numpy.typing import ArrayLike
 
-from recon3d.consistency import (
-    TESTS,
-    ConsistencyTest,
-    FuzzyAdaptiveHysteresis,
-    Patches,
-    StandardDeviation,
-    Verdict,
-    alternating_harmonic,
-)
+from recon3d.consistency import TESTS
+from recon3d.consistency.base import ConsistencyTest, Patches, Verdict
+from recon3d.consistency.deviation import StandardDeviation
+from recon3d.consistency.fuzzy import FuzzyAdaptiveHysteresis, alternating_harmonic
 
 
 def clashing_voxel() -> list[np.ndarray]:

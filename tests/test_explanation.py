@@ -27,14 +27,16 @@ from reference import (
 from scenes import ball_mesh, cameras, photographs, two_planes_mesh, with_noise
 
 import recon3d
-from recon3d import Explanation, Label, Scene, Settings, cli, explain
-from recon3d.carving import METHODS, sweep_direction
-from recon3d.carving.observing import CANDIDATE, path_to_consistent
-from recon3d.carving.voxel_coloring import neighbour_offsets
-from recon3d.datasets import BuiltInScene
-from recon3d.evidence import PixelKind
-from recon3d.pointing import voxels_on_ray
-from recon3d.scene import bounds_corners, make_bounds
+from recon3d import Explanation, Label, Scene, Settings, explain
+from recon3d.carving import METHODS
+from recon3d.carving.hysteresis import CANDIDATE, neighbour_offsets
+from recon3d.carving.observer import path_to_consistent
+from recon3d.carving.visibility import sweep_direction
+from recon3d.cli import commands as cli
+from recon3d.datasets.synthetic import BuiltInScene
+from recon3d.explaining.evidence import PixelKind
+from recon3d.explaining.pointing import voxels_on_ray
+from recon3d.scene.bounds import bounds_corners, make_bounds
 
 OBSERVED = [name for name, method in METHODS.items() if method.uses_test]
 

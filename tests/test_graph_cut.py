@@ -6,9 +6,9 @@ import pytest
 from numpy.typing import NDArray
 from scenes import edge_counts, full_volume, signed_volume
 
-from recon3d.carving import Label, PhotoHull
 from recon3d.errors import EmptyReconstructionError
-from recon3d.stereo.graph_cut import graph_cut
+from recon3d.surface.graph_cut import graph_cut
+from recon3d.volume.carved import Label, PhotoHull
 
 N = 40  # voxels along the lattice's edge, which are units
 

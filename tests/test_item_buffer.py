@@ -3,16 +3,16 @@ from __future__ import annotations
 import numpy as np
 from scenes import full_volume, plain_view
 
-from recon3d.carving import generalized_voxel_coloring
+from recon3d.carving.generalized import generalized_voxel_coloring
 from recon3d.carving.item_buffer import ItemBuffer
-from recon3d.carving.views import ViewArrays
-from recon3d.scene import Scene, make_bounds
+from recon3d.scene.bounds import make_bounds
+from recon3d.scene.scene import Scene
 
 
 def test_rays_that_enter_the_volume_at_an_occupied_voxel_hit_it() -> None:
     scene = Scene((plain_view(),), make_bounds([-1, -1, -1], [1, 1, 1]))
     volume = full_volume((4, 4, 4), 0.5, (-1, -1, -1))
-    buffer = ItemBuffer(ViewArrays(scene), volume)
+    buffer = ItemBuffer(scene.packed, volume)
     front = np.flatnonzero(np.arange(64) % 4 == 0)  # the camera looks along +z
     np.testing.assert_array_equal(buffer.advance(volume.occupied), front)
     assert not len(buffer.advance(volume.occupied))

@@ -8,12 +8,12 @@ from numpy.typing import NDArray
 from scenes import ball_mesh, cameras, photographs
 from scipy.ndimage import generate_binary_structure, label
 
-from recon3d.carving.voxel_coloring import neighbour_offsets
+from recon3d.carving.hysteresis import neighbour_offsets
 from recon3d.kernels.footprints import carve_background, footprint, free_pixels, gather, mark
 from recon3d.kernels.lattice import grow_consistent
 from recon3d.kernels.ragged import decile_ratios, mean_colors
-from recon3d.scene import View
-from recon3d.volume import CarvingVolume
+from recon3d.scene.view import View
+from recon3d.volume.dense import CarvingVolume
 
 LUMINANCE = np.array([299, 587, 114])
 

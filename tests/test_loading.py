@@ -10,7 +10,11 @@ from pathlib import Path
 import pytest
 from batches import outcome, patches_of
 
-from recon3d.consistency import TESTS, Hysteresis, Minkowski, Patches, Specular, Verdict, load_test
+from recon3d.consistency import TESTS, load_test
+from recon3d.consistency.base import Patches, Verdict
+from recon3d.consistency.hysteresis import Hysteresis
+from recon3d.consistency.minkowski import Minkowski
+from recon3d.consistency.specular import Specular
 from recon3d.errors import DataError
 from recon3d.io.files import write_json
 from recon3d.settings import Settings

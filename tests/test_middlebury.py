@@ -13,7 +13,8 @@ from recon3d.datasets.synthetic import BuiltInScene
 from recon3d.errors import DataError, SceneError
 from recon3d.io.files import write_image
 from recon3d.io.middlebury import is_middlebury, read_angles, read_bounds, read_middlebury, write_middlebury
-from recon3d.scene import Scene, make_bounds
+from recon3d.scene.bounds import make_bounds
+from recon3d.scene.scene import Scene
 
 README = """toy data set -- 3 views
 

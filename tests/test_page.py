@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from recon3d.page import Section, write_page
+from recon3d.reporting.page import Section, write_page
 
 SECTION = Section(
     "One & two",

@@ -24,14 +24,14 @@ def test_five_lines_do_the_whole_job(temple: recon3d.BuiltInScene, tmp_path: Pat
     scene = recon3d.open_scene(folder)
     result = recon3d.reconstruct(scene, recon3d.Settings(n_voxels=60_000))
     figures = recon3d.evaluate(result.mesh, temple.ground_truth)
-    result.save(tmp_path / "out")
+    recon3d.save(result, tmp_path / "out")
     # A pixel is 1.6 mm here and a voxel 2.7 mm: most of the mesh lies within three voxels.
     assert figures.accuracy_at(50) < 3 * 1000 * result.hull.volume.voxel_size
     assert figures.completeness_at(10) > 80
 
 
 def test_what_is_saved_reads_back_as_it_was(result: recon3d.Reconstruction, tmp_path: Path) -> None:
-    written = result.save(tmp_path, mesh_formats=["ply", "obj", "glb", "stl"])
+    written = recon3d.save(result, tmp_path, mesh_formats=["ply", "obj", "glb", "stl"])
     assert all(path.exists() for path in written.values())
     mesh = recon3d.read_mesh(written["mesh (ply)"])
     np.testing.assert_allclose(np.asarray(mesh.vertices), np.asarray(result.mesh.vertices), atol=1e-12)
@@ -53,7 +53,7 @@ def test_what_is_saved_reads_back_as_it_was(result: recon3d.Reconstruction, tmp_
 def test_the_record_holds_every_parameter_version_timing_and_figure(
     result: recon3d.Reconstruction, tmp_path: Path
 ) -> None:
-    record = json.loads(result.save(tmp_path, pictures=False)["figures"].read_text())
+    record = json.loads(recon3d.save(result, tmp_path, pictures=False)["figures"].read_text())
     assert record["recon3d"] == recon3d.__version__
     assert record["versions"]["open3d"] == o3d.__version__
     assert record["settings"]["test"] == {"class": "FuzzyAdaptiveHysteresis", "intensity": "luminance", "trim": 0.1}
@@ -255,7 +255,7 @@ def test_a_sharp_mesh_is_supported_near_its_points_alone(sharp: recon3d.Reconstr
 def test_a_sharp_result_is_saved_with_confidence_support_and_settings(
     sharp: recon3d.Reconstruction, tmp_path: Path
 ) -> None:
-    written = sharp.save(tmp_path, pictures=False)
+    written = recon3d.save(sharp, tmp_path, pictures=False)
     np.testing.assert_array_equal(recon3d.read_support(written["mesh (ply)"]), sharp.support)
     cloud = o3d.t.io.read_point_cloud(str(written["points"]))
     np.testing.assert_allclose(cloud.point.positions.numpy(), np.asarray(sharp.points.points), rtol=1e-6)

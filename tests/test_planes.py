@@ -11,11 +11,10 @@ from numpy.typing import NDArray
 from scenes import ball_mesh, cameras, cropped, grain, photographs
 from scipy.ndimage import gaussian_filter
 
-from recon3d.carving.views import ViewArrays
 from recon3d.kernels.planes import NOTHING, average_planes, find_visible, match_planes
-from recon3d.rendering import Renderer
-from recon3d.scene import Scene
-from recon3d.stereo.depth_maps import plane_normals
+from recon3d.rendering.renderer import Renderer
+from recon3d.scene.scene import Scene
+from recon3d.stereo.patch_match import plane_normals
 
 STRIDE = 2
 
@@ -73,7 +72,7 @@ def visible_twin(
 def found_visible(
     scene: Scene, depths: NDArray[np.float32], normals: NDArray[np.float32], others: list[int], tolerance: float
 ) -> NDArray[np.uint32]:
-    views = ViewArrays(scene)
+    views = scene.packed
     visible = np.full((18, 24), 77, np.uint32)
     find_visible(
         depths[0], normals[0], views.centers[0], views.world_from_pixel[0], views.projections[others],
@@ -149,7 +148,7 @@ class World:
     """A smooth random image before two others, and the pixels' places in those as match_planes wants them."""
 
     def __init__(self, scene: Scene) -> None:
-        views = ViewArrays(scene)
+        views = scene.packed
         rng = np.random.default_rng(5)
         noise = [gaussian_filter(rng.standard_normal((36, 48)), 2.0) for _ in range(3)]
         self.grey = np.stack([128 + 40 * image / image.std() for image in noise]).astype(np.float32)
@@ -311,7 +310,7 @@ def test_planes_are_averaged_with_those_that_agree(
     points, means, colors = np.zeros((3, *planes.shape))
     support = np.zeros(depths.shape)
     agreeing, contradicting = np.zeros((2, *depths.shape), np.int64)
-    views = ViewArrays(scene)
+    views = scene.packed
     average_planes(
         views.projections, views.centers, views.world_from_pixel, views.images, views.sizes, planes, normals, weights,
         STRIDE, 0.1, 0.8, points, means, colors, support, agreeing, contradicting,

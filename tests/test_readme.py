@@ -15,7 +15,7 @@ def test_the_example_of_an_own_test_runs() -> None:
 
 
 def test_every_command_that_the_readme_types_exists() -> None:
-    from recon3d.cli import app
+    from recon3d.cli.commands import app
 
     known = {command.callback.__name__ for command in app.registered_commands if command.callback}
     blocks = "".join(re.findall(r"```\n(.*?)```", README, re.DOTALL))

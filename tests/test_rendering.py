@@ -9,8 +9,12 @@ from numpy.typing import NDArray
 from scenes import ball_mesh, cameras, photographs, plain_view, rotation
 
 from recon3d.datasets.synthetic import BuiltInScene
-from recon3d.rendering import MODES, Renderer, comparison_sheet, look_at, pixel_rays, portrait, turntable, up_direction
-from recon3d.scene import Scene, View, bounds_corners, make_bounds
+from recon3d.rendering.orbit import look_at, up_direction
+from recon3d.rendering.renderer import MODES, Renderer, pixel_rays
+from recon3d.rendering.sheets import comparison_sheet, portrait, turntable
+from recon3d.scene.bounds import bounds_corners, make_bounds
+from recon3d.scene.scene import Scene
+from recon3d.scene.view import View
 
 K = np.array([[61.0, 4.0, 30.3], [0, 55.0, 22.1], [0, 0, 1]])  # skew, unequal focal lengths, off centre
 WIDTH, HEIGHT = 64, 48

@@ -10,38 +10,27 @@ from batches import outcome, patches_of, random_batch
 from numpy.typing import ArrayLike
 from scipy.stats import chi2, f
 
-from recon3d.carving import (
-    PhotoHull,
-    fine_generalized_voxel_coloring,
-    generalized_voxel_coloring,
-    space_carving,
-    voxel_coloring,
-)
-from recon3d.consistency import (
-    TESTS,
-    Adaptive,
-    ColorCaching,
-    ConsistencyTest,
-    Correlation,
-    FTest,
-    FuzzyAdaptiveHysteresis,
-    FuzzySingle,
-    Histogram,
-    Hysteresis,
-    LikelihoodRatio,
-    Minkowski,
-    OutlierRejection,
-    Patches,
-    Specular,
-    StandardDeviation,
-    Variance,
-    verdict_of,
-)
+from recon3d.carving.coarse_to_fine import fine_generalized_voxel_coloring
+from recon3d.carving.generalized import generalized_voxel_coloring
+from recon3d.carving.space_carving import space_carving
+from recon3d.carving.voxel_coloring import voxel_coloring
+from recon3d.consistency import TESTS
+from recon3d.consistency.base import ConsistencyTest, Patches, verdict_of
+from recon3d.consistency.caching import ColorCaching
+from recon3d.consistency.correlation import Correlation
+from recon3d.consistency.deviation import Adaptive, StandardDeviation, Variance
+from recon3d.consistency.fuzzy import FuzzyAdaptiveHysteresis, FuzzySingle
+from recon3d.consistency.histogram import Histogram
+from recon3d.consistency.hysteresis import Hysteresis
+from recon3d.consistency.minkowski import Minkowski
 from recon3d.consistency.moments import Moments
 from recon3d.consistency.quantiles import chi_square_limits, f_limits
+from recon3d.consistency.ratio import FTest, LikelihoodRatio, OutlierRejection
+from recon3d.consistency.specular import Specular
 from recon3d.datasets.synthetic import BuiltInScene
-from recon3d.silhouettes import without_silhouettes
-from recon3d.volume import CarvingVolume
+from recon3d.scene.silhouettes import without_silhouettes
+from recon3d.volume.carved import PhotoHull
+from recon3d.volume.dense import CarvingVolume
 
 
 def pixels_of(voxel: list[ArrayLike]) -> list[np.ndarray]:

@@ -10,15 +10,17 @@ import pytest
 from numpy.typing import NDArray
 from scenes import ball_mesh, box_mesh, cameras, full_volume, photographs, plain_view
 
-from recon3d.carving import Label, PhotoHull, roxels
-from recon3d.carving.views import ViewArrays
+from recon3d.carving.observations import carve_background
+from recon3d.carving.roxels import roxels
 from recon3d.datasets.synthetic import BuiltInScene, Camera, photograph
 from recon3d.errors import EmptyReconstructionError
-from recon3d.evaluation import distance_to_mesh
-from recon3d.rendering import look_at
-from recon3d.scene import Scene, make_bounds
-from recon3d.silhouettes import without_silhouettes
-from recon3d.volume import CarvingVolume
+from recon3d.evaluation.distances import distance_to_mesh
+from recon3d.rendering.orbit import look_at
+from recon3d.scene.bounds import make_bounds
+from recon3d.scene.scene import Scene
+from recon3d.scene.silhouettes import without_silhouettes
+from recon3d.volume.carved import Label, PhotoHull
+from recon3d.volume.dense import CarvingVolume
 
 ALL_ROUND = cameras(8, arc=360)
 WALL = box_mesh(3.2, 2.4, 0.4).translate((0, 0, -0.8))
@@ -86,7 +88,7 @@ def test_the_result_lies_inside_the_visual_hull_with_opacities_as_degrees(temple
     volume = CarvingVolume.enclosing(temple.scene.bounds, n_voxels=20_000)
     hull = roxels(temple.scene, volume, threshold=0.6, rounds=6)
     occupied = volume.occupied.copy()
-    ViewArrays(temple.scene).carve_background(occupied, volume)
+    carve_background(temple.scene.packed, occupied, volume)
     assert not (hull.solid.occupied & ~occupied).any()
     judged = (hull.labels == Label.CONSISTENT) | (hull.labels == Label.INCONSISTENT)
     np.testing.assert_array_equal(np.isfinite(hull.degree), judged)

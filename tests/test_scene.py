@@ -11,7 +11,9 @@ from scenes import plain_view, rotation
 
 from recon3d.datasets.synthetic import BuiltInScene
 from recon3d.errors import SceneError
-from recon3d.scene import Scene, View, bounds_corners, make_bounds
+from recon3d.scene.bounds import bounds_corners, make_bounds
+from recon3d.scene.scene import Scene
+from recon3d.scene.view import View
 
 SKEWED = np.array([[51.0, 3.0, 17.25], [0, 47.0, 14.5], [0, 0, 1]])
 BOX = make_bounds([-1, -1, -1], [1, 1, 1])

@@ -23,7 +23,7 @@ def script(name: str, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
 def test_the_papers_page_has_every_part_and_is_taken_up_where_it_was_left(
     temple: BuiltInScene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("recon3d.evaluation.SAMPLES_PER_DIAGONAL", 100)
+    monkeypatch.setattr("recon3d.evaluation.distances.SAMPLES_PER_DIAGONAL", 100)
     main = script("reproduce_paper", monkeypatch).main
     folder = recon3d.write_middlebury(temple.scene, tmp_path / "photographs")
     truth = recon3d.write_geometry(tmp_path / "truth.ply", temple.ground_truth)

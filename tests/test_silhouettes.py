@@ -12,8 +12,9 @@ from scipy.ndimage import binary_dilation, binary_erosion
 from recon3d.datasets.synthetic import BuiltInScene
 from recon3d.errors import DataError
 from recon3d.io.files import write_image
-from recon3d.scene import Scene, make_bounds
-from recon3d.silhouettes import (
+from recon3d.scene.bounds import make_bounds
+from recon3d.scene.scene import Scene
+from recon3d.scene.silhouettes import (
     bounds_mask,
     foreground,
     overlay,

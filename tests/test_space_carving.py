@@ -10,15 +10,20 @@ import pytest
 from numpy.typing import NDArray
 from scenes import ORIGIN, ball_mesh, box_mesh, cameras, full_volume, photographs, plain_view, two_planes_mesh
 
-from recon3d.carving import Label, PhotoHull, space_carving, voxel_coloring
-from recon3d.carving.views import ViewArrays
-from recon3d.consistency import FuzzyAdaptiveHysteresis, Patches, StandardDeviation, Verdict
+from recon3d.carving.observations import carve_background
+from recon3d.carving.space_carving import space_carving
+from recon3d.carving.voxel_coloring import voxel_coloring
+from recon3d.consistency.base import Patches, Verdict
+from recon3d.consistency.deviation import StandardDeviation
+from recon3d.consistency.fuzzy import FuzzyAdaptiveHysteresis
 from recon3d.datasets.synthetic import BuiltInScene, ring
 from recon3d.errors import EmptyReconstructionError, VisibilityError
-from recon3d.evaluation import distance_to_mesh
-from recon3d.scene import Scene, make_bounds
-from recon3d.silhouettes import without_silhouettes
-from recon3d.volume import CarvingVolume
+from recon3d.evaluation.distances import distance_to_mesh
+from recon3d.scene.bounds import make_bounds
+from recon3d.scene.scene import Scene
+from recon3d.scene.silhouettes import without_silhouettes
+from recon3d.volume.carved import Label, PhotoHull
+from recon3d.volume.dense import CarvingVolume
 
 ALL_ROUND = cameras(8, arc=360)
 AT_EYE_LEVEL = ring(ORIGIN, n_views=8, distance=6.0, width=48, height=36, focal=72.0, elevation=0.0)
@@ -26,7 +31,7 @@ AT_EYE_LEVEL = ring(ORIGIN, n_views=8, distance=6.0, width=48, height=36, focal=
 
 def visual_hull(scene: Scene, volume: CarvingVolume) -> NDArray[np.bool_]:
     occupied = volume.occupied.copy()
-    ViewArrays(scene).carve_background(occupied, volume)
+    carve_background(scene.packed, occupied, volume)
     return occupied
 
 

@@ -14,19 +14,16 @@ from scenes import (
 )
 from scipy.spatial import cKDTree
 
-from recon3d.carving import (
-    fine_generalized_voxel_coloring,
-    fine_visual_hull,
-    generalized_voxel_coloring,
-    visual_hull,
-)
-from recon3d.consistency import StandardDeviation
+from recon3d.carving.coarse_to_fine import fine_generalized_voxel_coloring, fine_visual_hull
+from recon3d.carving.generalized import generalized_voxel_coloring
+from recon3d.carving.visual_hull import visual_hull
+from recon3d.consistency.deviation import StandardDeviation
 from recon3d.datasets.synthetic import BuiltInScene
 from recon3d.errors import EmptyReconstructionError
 from recon3d.kernels.bricks import BRICK, EMPTY, SOLID
-from recon3d.sparse import SparseVolume, brick_grid
-from recon3d.surface import mesh_sparse, mesh_volume
-from recon3d.volume import CarvingVolume
+from recon3d.surface.extraction import mesh_sparse, mesh_volume
+from recon3d.volume.dense import CarvingVolume
+from recon3d.volume.sparse import SparseVolume, brick_grid
 
 
 def stored_throughout(occupied: NDArray[np.bool_], voxel_size: float = 0.5) -> SparseVolume:

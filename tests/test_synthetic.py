@@ -6,7 +6,7 @@ import pytest
 from numpy.typing import NDArray
 from scenes import ball_mesh, box_mesh, cameras, edge_counts, plain, signed_volume
 
-from recon3d.carving import largest_admissible_views
+from recon3d.carving.visibility import largest_admissible_views
 from recon3d.datasets.synthetic import (
     SCENES,
     BuiltInScene,
@@ -16,7 +16,7 @@ from recon3d.datasets.synthetic import (
     temple_mesh,
     temple_texture,
 )
-from recon3d.rendering import Renderer, pixel_rays
+from recon3d.rendering.renderer import Renderer, pixel_rays
 
 
 def white(points: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -9,13 +9,16 @@ import pytest
 from numpy.typing import NDArray
 from scenes import ball_mesh, cameras, photographs, plain_view
 
-from recon3d.carving.judging import judge
-from recon3d.carving.views import ViewArrays
-from recon3d.consistency import Histogram, Patches, Verdict
+from recon3d.carving.observations import judge
+from recon3d.consistency.base import Patches, Verdict
+from recon3d.consistency.histogram import Histogram
 from recon3d.kernels.view_colors import cached_distances, largest_norms, shared_bins, view_sums
 from recon3d.kernels.windows import sample_windows
-from recon3d.scene import Scene, View, make_bounds
-from recon3d.volume import CarvingVolume
+from recon3d.scene.bounds import make_bounds
+from recon3d.scene.packed import PackedViews
+from recon3d.scene.scene import Scene
+from recon3d.scene.view import View
+from recon3d.volume.dense import CarvingVolume
 
 
 def ragged_views(seed: int, n_voxels: int = 300, n_views: int = 5) -> tuple[list[list[NDArray[np.int64]]], Patches]:
@@ -130,7 +133,7 @@ def luminance_at(view: View, point: NDArray[np.float64]) -> float:
 @pytest.mark.parametrize("voxel_size", [0.02, 0.9])
 def test_windows_hold_what_the_views_show_on_a_plane_that_faces_them(voxel_size: float) -> None:
     scene, side = arc_scene(), 3
-    arrays = ViewArrays(scene)
+    arrays = scene.packed
     rng = np.random.default_rng(4)
     centers = rng.uniform(-1.4, 1.4, (60, 3))
     counts = rng.integers(0, 2, (60, 3))
@@ -184,10 +187,10 @@ class Noting:
         return Verdict(degree, np.full(len(degree), 0.4), np.full(len(degree), 0.6))
 
 
-def judged_batch() -> tuple[Patches, NDArray[np.float64], float, ViewArrays]:
+def judged_batch() -> tuple[Patches, NDArray[np.float64], float, PackedViews]:
     scene = arc_scene()
     volume = CarvingVolume.enclosing(scene.bounds, n_voxels=300)
-    views = ViewArrays(scene)
+    views = scene.packed
     voxels = np.argwhere(volume.occupied)
     boxes, counts, _ = views.footprints(voxels, volume)
     visible = counts.any(axis=1)
@@ -212,7 +215,7 @@ def test_directions_point_from_the_voxels_centre_to_the_cameras() -> None:
 def test_a_batch_judged_in_parts_gives_one_verdict(monkeypatch: pytest.MonkeyPatch) -> None:
     patches, centers, size, views = judged_batch()
     whole = judge(Noting(), patches, centers, size, views)
-    monkeypatch.setattr("recon3d.carving.judging._NUMBERS", 7 * 36)
+    monkeypatch.setattr("recon3d.carving.observations._NUMBERS", 7 * 36)
     test = Noting()
     parts = judge(test, patches, centers, size, views)
     assert [part.n_voxels for part in test.seen[:-1]] == [7] * (len(test.seen) - 1)
@@ -241,7 +244,7 @@ def test_cameras_opposite_each_other_still_get_windows() -> None:
     pose[2, 3] = 5.0
     behind = plain_view(cam_from_world=pose, name="behind")
     scene = Scene((ahead, behind), make_bounds([-1, -1, -1], [1, 1, 1]))
-    arrays = ViewArrays(scene)
+    arrays = scene.packed
     windows = np.empty((1, 2, 9), np.float32)
     sample_windows(
         np.zeros((1, 3)), 0.1, np.ones((1, 2), np.int64), arrays.centers, arrays.projections, arrays.focals,

@@ -8,11 +8,11 @@ from numpy.typing import NDArray
 from scenes import plain_view, rotation
 from scipy.optimize import linprog, minimize
 
-from recon3d.carving import largest_admissible_views, spread_views, sweep_direction
-from recon3d.carving.visibility import require_sweep_direction
+from recon3d.carving.visibility import largest_admissible_views, require_sweep_direction, spread_views, sweep_direction
 from recon3d.errors import VisibilityError
-from recon3d.rendering import look_at
-from recon3d.scene import Scene, bounds_corners, make_bounds
+from recon3d.rendering.orbit import look_at
+from recon3d.scene.bounds import bounds_corners, make_bounds
+from recon3d.scene.scene import Scene
 
 BOUNDS = make_bounds([-1.0, -0.7, -0.5], [0.9, 0.8, 0.6])
 CORNERS = bounds_corners(BOUNDS)

@@ -13,20 +13,26 @@ from reference import brute_force_items
 from scenes import ball_mesh, cameras, photographs
 from scipy.spatial import cKDTree
 
-from recon3d.carving import Label, generalized_voxel_coloring, visual_hull, vote_carving, voxel_coloring
+from recon3d.carving.generalized import generalized_voxel_coloring
 from recon3d.carving.item_buffer import ItemBuffer
-from recon3d.carving.views import ViewArrays
-from recon3d.carving.visual_hull import hull_distance, outline_distance
-from recon3d.carving.vote_carving import matching_neighbours
-from recon3d.consistency import Patches, StandardDeviation, Verdict
+from recon3d.carving.start import hull_distance, outline_distance
+from recon3d.carving.visual_hull import visual_hull
+from recon3d.carving.vote_carving import vote_carving
+from recon3d.carving.voxel_coloring import voxel_coloring
+from recon3d.consistency.base import Patches, Verdict
+from recon3d.consistency.deviation import StandardDeviation
 from recon3d.datasets.synthetic import BuiltInScene, little_temple
 from recon3d.errors import EmptyReconstructionError, SceneError
-from recon3d.evaluation import distance_to_mesh, evaluate
-from recon3d.rendering import count_seeing_views, without_unseen
-from recon3d.scene import Scene, View, make_bounds
-from recon3d.silhouettes import without_silhouettes
-from recon3d.surface import mesh_volume
-from recon3d.volume import CarvingVolume
+from recon3d.evaluation.distances import distance_to_mesh, evaluate
+from recon3d.scene.bounds import make_bounds
+from recon3d.scene.neighbours import matching_neighbours
+from recon3d.scene.scene import Scene
+from recon3d.scene.silhouettes import without_silhouettes
+from recon3d.scene.view import View
+from recon3d.surface.extraction import mesh_volume
+from recon3d.surface.visibility import count_seeing_views, without_unseen
+from recon3d.volume.carved import Label
+from recon3d.volume.dense import CarvingVolume
 
 
 @pytest.fixture(scope="module")
@@ -123,7 +129,7 @@ def test_what_lies_outside_an_image_is_unknown(temple: BuiltInScene) -> None:
 def test_the_item_buffer_is_brute_force_ray_casting_after_every_round() -> None:
     scene = little_temple(n_views=3, width=32, height=24).scene
     volume = volume_of(scene, 2000)
-    buffer = ItemBuffer(ViewArrays(scene), volume)
+    buffer = ItemBuffer(scene.packed, volume)
     occupied = np.ones(volume.shape, np.bool_)
     rng = np.random.default_rng(3)
     for _ in range(4):
@@ -137,7 +143,7 @@ def test_the_item_buffer_is_brute_force_ray_casting_after_every_round() -> None:
 def test_patches_of_the_item_buffer_are_the_pixels_that_see_the_voxel() -> None:
     scene = little_temple(n_views=3, width=48, height=36).scene
     volume = volume_of(scene, 2000)
-    buffer = ItemBuffer(ViewArrays(scene), volume)
+    buffer = ItemBuffer(scene.packed, volume)
     buffer.advance(np.ones(volume.shape, np.bool_))
     visible = buffer.visible()
     patches = buffer.patches(visible)
@@ -153,7 +159,7 @@ def test_a_camera_inside_the_volume_sees_from_its_own_voxel_on() -> None:
     center = scene.views[0].center
     wide = replace(scene, bounds=make_bounds(np.minimum(scene.bounds.min_bound, center - 0.05), center + 0.05))
     volume = volume_of(wide, 3000)
-    buffer = ItemBuffer(ViewArrays(wide), volume)
+    buffer = ItemBuffer(wide.packed, volume)
     buffer.advance(np.ones(volume.shape, np.bool_))
     own = np.ravel_multi_index(tuple(((center - volume.origin) / volume.voxel_size).astype(int)), volume.shape)
     assert (buffer.items[0][wide.views[0].silhouette] == own).all()

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from scenes import ball_volume, full_volume, rotation
 
 from recon3d.errors import EmptyReconstructionError, VolumeTooLargeError
-from recon3d.io.files import read_geometry, write_geometry
-from recon3d.scene import make_bounds
-from recon3d.volume import BYTES_PER_VOXEL, CarvingVolume
+from recon3d.io.geometry import read_geometry, write_geometry
+from recon3d.scene.bounds import make_bounds
+from recon3d.volume.dense import CarvingVolume
+from recon3d.volume.lattice import BYTES_PER_VOXEL
 
 
 def colorful_volume(seed: int = 0) -> CarvingVolume:

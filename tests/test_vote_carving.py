@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 from scenes import full_volume, plain_view
 
 from recon3d import CarvingVolume, Scene, View, make_bounds
-from recon3d.carving.photo_hull import Label
-from recon3d.carving.views import ViewArrays
-from recon3d.carving.vote_carving import carve_by_depths, hull_of_field
+from recon3d.carving.depth_votes import carve_by_depths, hull_of_field
+from recon3d.volume.carved import Label
 
 SIDE = 16  # voxels of length one
 FAR = 1000.0  # of the camera from the volume's near face, so that rays run along +z
@@ -48,7 +47,7 @@ def carved(
         for parts in zip(*maps, strict=True)
     )
     return carve_by_depths(
-        before, volume, ViewArrays(scene), depths, weights, stride=1, resolution=resolution, truncation=4.0, prior=0.02,
+        before, volume, scene.packed, depths, weights, stride=1, resolution=resolution, truncation=4.0, prior=0.02,
         margin=margin,
     )  # fmt: skip
 
@@ -104,7 +103,7 @@ def test_the_hull_of_a_field_is_what_is_positive_coloured_where_it_is_seen(view:
     image[:, :20], image[:, 20:] = [200, 0, 0], [0, 100, 0]
     scene = Scene((replace(view, image=image),), make_bounds([0, 0, 0], [SIDE] * 3))
     field = np.broadcast_to((np.arange(SIDE) - 5.5).astype(np.float64), volume.shape)
-    hull = hull_of_field(field, np.full(volume.shape, Label.BACKGROUND), volume, ViewArrays(scene))
+    hull = hull_of_field(field, np.full(volume.shape, Label.BACKGROUND), volume, scene.packed)
     assert (hull.labels[..., :6] == Label.BACKGROUND).all()
     assert (hull.labels[2:-2, 2:-2, 6] == Label.CONSISTENT).all()
     assert (hull.labels[2:-2, 2:-2, 7:] == Label.HIDDEN).all()
@@ -114,5 +113,5 @@ def test_the_hull_of_a_field_is_what_is_positive_coloured_where_it_is_seen(view:
     assert hull.distance is not None
     np.testing.assert_array_equal(hull.distance, field)
     assert hull.distance.dtype == np.float32
-    nothing = hull_of_field(-np.ones(volume.shape), np.zeros(volume.shape, np.uint8), volume, ViewArrays(scene))
+    nothing = hull_of_field(-np.ones(volume.shape), np.zeros(volume.shape, np.uint8), volume, scene.packed)
     assert nothing.solid.n_occupied == 0

@@ -22,15 +22,21 @@ from scenes import (
 )
 from scipy.ndimage import binary_dilation
 
-from recon3d.carving import Label, PhotoHull, sweep_direction, voxel_coloring
-from recon3d.carving.voxel_coloring import near_to_far, neighbour_offsets
-from recon3d.consistency import FuzzyAdaptiveHysteresis, Patches, StandardDeviation, Verdict
+from recon3d.carving.hysteresis import neighbour_offsets
+from recon3d.carving.visibility import sweep_direction
+from recon3d.carving.voxel_coloring import near_to_far, voxel_coloring
+from recon3d.consistency.base import Patches, Verdict
+from recon3d.consistency.deviation import StandardDeviation
+from recon3d.consistency.fuzzy import FuzzyAdaptiveHysteresis
 from recon3d.datasets.synthetic import BuiltInScene, ring
 from recon3d.errors import EmptyReconstructionError, VisibilityError
-from recon3d.evaluation import distance_to_mesh
-from recon3d.scene import Scene, View, bounds_corners, make_bounds
-from recon3d.silhouettes import without_silhouettes
-from recon3d.volume import CarvingVolume
+from recon3d.evaluation.distances import distance_to_mesh
+from recon3d.scene.bounds import bounds_corners, make_bounds
+from recon3d.scene.scene import Scene
+from recon3d.scene.silhouettes import without_silhouettes
+from recon3d.scene.view import View
+from recon3d.volume.carved import Label, PhotoHull
+from recon3d.volume.dense import CarvingVolume
 
 
 @cache

@@ -5,14 +5,15 @@ from typing import NamedTuple
 
 from recon3d.carving.coarse_to_fine import fine_generalized_voxel_coloring, fine_visual_hull
 from recon3d.carving.generalized import generalized_voxel_coloring
-from recon3d.carving.photo_hull import Label, PhotoHull
 from recon3d.carving.probabilistic import probabilistic_space_carving
 from recon3d.carving.roxels import roxels
 from recon3d.carving.space_carving import space_carving
 from recon3d.carving.visibility import SweepDirection, largest_admissible_views, spread_views, sweep_direction
 from recon3d.carving.visual_hull import visual_hull
-from recon3d.carving.vote_carving import matching_neighbours, vote_carving
+from recon3d.carving.vote_carving import vote_carving
 from recon3d.carving.voxel_coloring import voxel_coloring
+from recon3d.scene.neighbours import matching_neighbours
+from recon3d.volume.carved import Label, PhotoHull
 
 
 class Method(NamedTuple):

@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from recon3d.carving.item_buffer import SeenItems
-from recon3d.carving.views import ViewArrays
 from recon3d.kernels.brick_rays import GONE, NOT_ENTERED, advance_bricks
 from recon3d.kernels.bricks import BRICK, SOLID, exposed_bricks
 from recon3d.kernels.ragged import mean_colors
-from recon3d.sparse import SparseVolume, brick_grid, count_occupied, stored_bricks
-from recon3d.volume import BAND, check_memory
+from recon3d.scene.packed import PackedViews
+from recon3d.volume.lattice import BAND, check_memory
+from recon3d.volume.sparse import SparseVolume, brick_grid, count_occupied, stored_bricks
 
 BYTES_PER_BRICK = 96 * BRICK**3
 """Peak memory of carving and meshing for each stored brick, measured, rounded up."""
@@ -129,7 +129,7 @@ class BrickItems(SeenItems):
     Amanatides, Woo, "A fast voxel traversal algorithm for ray tracing", Eurographics 1987.
     """
 
-    def __init__(self, views: ViewArrays, bricks: Bricks) -> None:
+    def __init__(self, views: PackedViews, bricks: Bricks) -> None:
         super().__init__(views, bricks.n_places)
         self.bricks = bricks
         self.items[:] = np.where(views.foreground, np.int32(NOT_ENTERED), np.int32(GONE))

@@ -7,16 +7,16 @@ from numpy.typing import NDArray
 
 from recon3d.carving.bricks import BrickItems, Bricks
 from recon3d.carving.generalized import all_carved, carve_to_agreement
-from recon3d.carving.photo_hull import Progress
-from recon3d.carving.views import ViewArrays
-from recon3d.carving.visual_hull import nothing_inside, silhouette_outlines
-from recon3d.carving.voxel_coloring import Connectivity, neighbour_offsets
-from recon3d.consistency import ConsistencyTest, FuzzyAdaptiveHysteresis, Patches, Verdict
+from recon3d.carving.hysteresis import Connectivity, neighbour_offsets
+from recon3d.carving.start import nothing_inside, silhouette_outlines
+from recon3d.consistency.base import ConsistencyTest, Patches, Verdict
+from recon3d.consistency.fuzzy import FuzzyAdaptiveHysteresis
 from recon3d.kernels.bricks import BRICK, UNDECIDED, grow_support
 from recon3d.kernels.silhouettes import bound_bricks, sample_bricks
-from recon3d.scene import Scene
-from recon3d.sparse import SparseVolume
-from recon3d.volume import BAND, enclosing_lattice
+from recon3d.scene.scene import Scene
+from recon3d.tasks import Progress
+from recon3d.volume.lattice import BAND, enclosing_lattice
+from recon3d.volume.sparse import SparseVolume
 
 
 def fine_visual_hull(
@@ -48,7 +48,7 @@ def fine_visual_hull(
     report = progress or _silent
     bricks = hull_bricks(scene, voxel_size, tolerance=tolerance)
     report(1, 2)
-    hull = bricks.colored(BrickItems(ViewArrays(scene), bricks))
+    hull = bricks.colored(BrickItems(scene.packed, bricks))
     report(2, 2)
     return hull
 
@@ -122,7 +122,7 @@ def fine_generalized_voxel_coloring(
         bricks.store_ends()
     started = bricks.n_occupied
 
-    state = _SparseState(bricks, BrickItems(ViewArrays(scene), bricks), connectivity)
+    state = _SparseState(bricks, BrickItems(scene.packed, bricks), connectivity)
     carve_to_agreement(state, test, max_rounds=max_rounds, progress=progress)
     if not bricks.n_occupied:
         raise all_carved(scene, test, started, f"voxels of {voxel_size:.4g}")

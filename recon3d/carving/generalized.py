@@ -8,17 +8,20 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import generate_binary_structure, label
 
+from recon3d.carving.hysteresis import CANDIDATE, Connectivity, neighbour_offsets
 from recon3d.carving.item_buffer import ItemBuffer
-from recon3d.carving.judging import judge
-from recon3d.carving.observing import CANDIDATE, Observer, Voxel
-from recon3d.carving.photo_hull import Label, PhotoHull, Progress
-from recon3d.carving.views import ViewArrays
-from recon3d.carving.visual_hull import color_visible, hull_distance
-from recon3d.carving.voxel_coloring import Connectivity, neighbour_offsets
-from recon3d.consistency import ConsistencyTest, FuzzyAdaptiveHysteresis, Patches, Verdict
+from recon3d.carving.observations import judge
+from recon3d.carving.observer import Observer, Voxel
+from recon3d.carving.start import hull_distance
+from recon3d.carving.visible import color_visible
+from recon3d.consistency.base import ConsistencyTest, Patches, Verdict
+from recon3d.consistency.fuzzy import FuzzyAdaptiveHysteresis
 from recon3d.errors import EmptyReconstructionError
-from recon3d.scene import Scene
-from recon3d.volume import CarvingVolume
+from recon3d.scene.packed import PackedViews
+from recon3d.scene.scene import Scene
+from recon3d.tasks import Progress
+from recon3d.volume.carved import Label, PhotoHull
+from recon3d.volume.dense import CarvingVolume
 
 
 def generalized_voxel_coloring(
@@ -64,7 +67,7 @@ def generalized_voxel_coloring(
     """
     test = FuzzyAdaptiveHysteresis() if test is None else test
     neighbour_offsets(connectivity)  # refuses what is no connectivity
-    views = ViewArrays(scene)
+    views = scene.packed
     known = any(view.silhouette is not None for view in scene.views)
     field = hull_distance(scene, volume) if known else None
     occupied = volume.occupied & (field > 0) if field is not None else volume.occupied.copy()
@@ -84,7 +87,7 @@ def generalized_voxel_coloring(
 class CarvingState(Protocol):
     """Voxels under generalised voxel colouring, by flat numbers that stay theirs, whatever they are kept in."""
 
-    views: ViewArrays
+    views: PackedViews
     voxel_size: float
 
     def advance(self) -> NDArray[np.int64]:

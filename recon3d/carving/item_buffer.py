@@ -5,24 +5,25 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from recon3d.carving.views import ViewArrays
-from recon3d.consistency import Patches
+from recon3d.carving.observations import starts_of
+from recon3d.consistency.base import Patches
 from recon3d.errors import VolumeTooLargeError
 from recon3d.kernels.item_buffer import advance, collect_items, count_items, enter_volume
-from recon3d.volume import CarvingVolume
+from recon3d.scene.packed import PackedViews
+from recon3d.volume.dense import CarvingVolume
 
 
 class SeenItems:
     """What every pixel sees, whatever the voxels are kept in."""
 
-    def __init__(self, views: ViewArrays, n_places: int) -> None:
+    def __init__(self, views: PackedViews, n_places: int) -> None:
         most = np.iinfo(np.int32).max
         if n_places > most:
             raise VolumeTooLargeError(f"{n_places:,} voxels are more than an item buffer can number ({most:,})")
         self.views = views
         self.n_places = n_places
         """Voxels that a pixel may see."""
-        self.items = np.empty(views.free.shape, np.int32)
+        self.items = np.empty(views.foreground.shape, np.int32)
         """(n_views, height, width) flat index of the voxel that the pixel sees, negative where none."""
         self._rank = np.empty(0, np.int32)
 
@@ -33,9 +34,8 @@ class SeenItems:
         self._rank[voxels] = np.arange(len(voxels), dtype=np.int32)
         counts = np.zeros((len(voxels), len(self.items)), np.int64)
         count_items(self.items, self._rank, counts)
-        ends = np.cumsum(counts).reshape(counts.shape)
-        view_starts = np.concatenate([ends[:, :1] - counts[:, :1], ends], axis=1)
-        colors = np.empty((int(ends[-1, -1]) if ends.size else 0, 3), np.uint8)
+        view_starts = starts_of(counts)
+        colors = np.empty((int(view_starts[-1, -1]) if view_starts.size else 0, 3), np.uint8)
         collect_items(self.items, self._rank, view_starts, self.views.images, colors)
         self._rank[voxels] = -1
         return Patches(colors, view_starts)
@@ -62,7 +62,7 @@ class ItemBuffer(SeenItems):
     Amanatides, Woo, "A fast voxel traversal algorithm for ray tracing", Eurographics 1987.
     """
 
-    def __init__(self, views: ViewArrays, volume: CarvingVolume) -> None:
+    def __init__(self, views: PackedViews, volume: CarvingVolume) -> None:
         super().__init__(views, volume.occupied.size)
         self.origin, self.size, self.shape = volume.origin, volume.voxel_size, np.array(volume.shape)
         enter_volume(

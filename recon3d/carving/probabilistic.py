@@ -5,18 +5,23 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from recon3d.carving.photo_hull import Label, PhotoHull, Progress
-from recon3d.carving.space_carving import clear_around_cameras
-from recon3d.carving.views import ViewArrays
-from recon3d.consistency import ConsistencyTest
+from recon3d.carving.observations import carve_background, observations
+from recon3d.carving.start import clear_around_cameras
+from recon3d.consistency.base import ConsistencyTest
 from recon3d.errors import EmptyReconstructionError
 from recon3d.kernels.existence import blend, exist
-from recon3d.kernels.rays import observe
-from recon3d.scene import Scene
-from recon3d.volume import CarvingVolume
+from recon3d.scene.packed import PackedViews
+from recon3d.scene.scene import Scene
+from recon3d.tasks import Progress
+from recon3d.volume.carved import Label, PhotoHull
+from recon3d.volume.dense import CarvingVolume
 
 _BINS = 8  # a channel, of the histogram of independent colours
+
+
 _UNIFORM = 0.1  # share of independent colours that may be anything
+
+
 _HIDDEN = 0.3  # a voxel that no view sees with more than this probability is hidden
 
 
@@ -93,11 +98,11 @@ def probabilistic_space_carving(
         raise ValueError(f"expected rounds of at least 1, got {rounds}")
     if not 0 <= outliers < 1:
         raise ValueError(f"expected outliers in [0, 1), got {outliers}")
-    views = ViewArrays(scene)
+    views = scene.packed
 
     hull = PhotoHull.untouched(volume)
     occupied = volume.occupied.copy()
-    views.carve_background(occupied, volume)
+    carve_background(views, occupied, volume)
     hull.labels[volume.occupied & ~occupied] = Label.BACKGROUND
     clear_around_cameras(occupied, scene, volume)
     voxels, colors, seen = observations(views, occupied, volume)
@@ -128,24 +133,10 @@ def probabilistic_space_carving(
     return hull
 
 
-def observations(
-    views: ViewArrays, occupied: NDArray[np.bool_], volume: CarvingVolume
-) -> tuple[NDArray[np.int64], NDArray[np.uint8], NDArray[np.bool_]]:
-    """Voxels (n, 3) that some image shows, mean colour of each footprint (n, n_views, 3), and which views have one."""
-    voxels = np.argwhere(occupied)
-    colors = np.zeros((len(voxels), len(views.free), 3), np.uint8)
-    seen = np.zeros((len(voxels), len(views.free)), np.bool_)
-    observe(
-        voxels, volume.origin, volume.voxel_size, views.projections, views.sizes, views.free, views.images, colors, seen
-    )
-    shown = seen.any(axis=1)
-    return voxels[shown], colors[shown], seen[shown]
-
-
-def _color_density(views: ViewArrays) -> NDArray[np.float64]:
+def _color_density(views: PackedViews) -> NDArray[np.float64]:
     """(8, 8, 8) density of foreground colours, all views together, per cubed grey level."""
     edges = np.linspace(0, 256, _BINS + 1)
-    histogram, _ = np.histogramdd(views.images[views.free], bins=(edges, edges, edges))
+    histogram, _ = np.histogramdd(views.images[views.foreground], bins=(edges, edges, edges))
     uniform = np.full(histogram.shape, 1 / histogram.size)
     share = histogram / histogram.sum() if histogram.any() else uniform
     return ((1 - _UNIFORM) * share + _UNIFORM * uniform) / (256 / _BINS) ** 3

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from recon3d.carving.photo_hull import Label, PhotoHull, Progress
-from recon3d.carving.probabilistic import observations
-from recon3d.carving.space_carving import clear_around_cameras
-from recon3d.carving.views import ViewArrays
-from recon3d.consistency import ConsistencyTest
+from recon3d.carving.observations import carve_background, observations
+from recon3d.carving.start import clear_around_cameras
+from recon3d.consistency.base import ConsistencyTest
 from recon3d.errors import EmptyReconstructionError
 from recon3d.kernels.responsibility import respond
-from recon3d.scene import Scene
-from recon3d.volume import CarvingVolume
+from recon3d.scene.scene import Scene
+from recon3d.tasks import Progress
+from recon3d.volume.carved import Label, PhotoHull
+from recon3d.volume.dense import CarvingVolume
 
 _HIDDEN = 0.1  # a voxel that less of the light reaches in every view is hidden
 
@@ -90,11 +90,11 @@ def roxels(
         raise ValueError(f"expected initial in (0, 1) and threshold in (0, 1], got {initial} and {threshold}")
     if rounds < 1:
         raise ValueError(f"expected rounds of at least 1, got {rounds}")
-    views = ViewArrays(scene)
+    views = scene.packed
 
     hull = PhotoHull.untouched(volume)
     occupied = volume.occupied.copy()
-    views.carve_background(occupied, volume)
+    carve_background(views, occupied, volume)
     hull.labels[volume.occupied & ~occupied] = Label.BACKGROUND
     clear_around_cameras(occupied, scene, volume)
     voxels, observed, seen = observations(views, occupied, volume)

@@ -7,22 +7,26 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from recon3d.carving.judging import judge
-from recon3d.carving.observing import CANDIDATE, Observer, Voxel
-from recon3d.carving.photo_hull import Label, PhotoHull, Progress
-from recon3d.carving.views import ViewArrays
-from recon3d.carving.voxel_coloring import Connectivity, neighbour_offsets
-from recon3d.consistency import ConsistencyTest, FuzzyAdaptiveHysteresis, Patches, Verdict
+from recon3d.carving.hysteresis import CANDIDATE, Connectivity, neighbour_offsets
+from recon3d.carving.observations import carve_background, judge, starts_of
+from recon3d.carving.observer import Observer, Voxel
+from recon3d.carving.start import clear_around_cameras
+from recon3d.consistency.base import ConsistencyTest, Patches, Verdict
+from recon3d.consistency.fuzzy import FuzzyAdaptiveHysteresis
 from recon3d.errors import EmptyReconstructionError
 from recon3d.kernels.lattice import grow_consistent
 from recon3d.kernels.ragged import mean_colors
 from recon3d.kernels.sweeps import claim, gather_visible, visible_pixels
-from recon3d.scene import Scene
-from recon3d.volume import CarvingVolume
+from recon3d.scene.packed import PackedViews
+from recon3d.scene.scene import Scene
+from recon3d.tasks import Progress
+from recon3d.volume.carved import Label, PhotoHull
+from recon3d.volume.dense import CarvingVolume
 
 _FREE = np.iinfo(np.int32).max  # a pixel that no layer has claimed
+
+
 _BATCH = 1 << 15  # voxels judged at once when no layer limits them
-_CLEARANCE = 3.0  # voxels around a camera that cannot hold matter
 
 
 def space_carving(
@@ -88,11 +92,11 @@ def space_carving(
         raise ValueError(f"expected max_rounds of at least 1, got {max_rounds}")
     offsets = neighbour_offsets(connectivity)
     test = FuzzyAdaptiveHysteresis() if test is None else test
-    views = ViewArrays(scene)
+    views = scene.packed
 
     hull = PhotoHull.untouched(volume)
     occupied = volume.occupied.copy()
-    views.carve_background(occupied, volume)
+    carve_background(views, occupied, volume)
     hull.labels[volume.occupied & ~occupied] = Label.BACKGROUND
     clear_around_cameras(occupied, scene, volume)
     carving = _Carving(views, scene, hull, occupied, test, observer)
@@ -117,25 +121,12 @@ def space_carving(
     return hull
 
 
-def clear_around_cameras(occupied: NDArray[np.bool_], scene: Scene, volume: CarvingVolume) -> None:
-    """Empty the voxels (nx, ny, nz) whose centres lie within three voxel sizes of a camera."""
-    for center in scene.centers:
-        place = (center - volume.origin) / volume.voxel_size - 0.5  # in voxels, centres at integers
-        low = np.maximum(np.ceil(place - _CLEARANCE).astype(np.int64), 0)
-        high = np.minimum(np.floor(place + _CLEARANCE).astype(np.int64) + 1, volume.shape)
-        if (low >= high).any():
-            continue
-        box = tuple(slice(a, b) for a, b in zip(low, high, strict=True))
-        grid = np.stack(np.meshgrid(*(np.arange(a, b) for a, b in zip(low, high, strict=True)), indexing="ij"), -1)
-        occupied[box] &= np.linalg.norm(grid - place, axis=-1) > _CLEARANCE
-
-
 class _Carving:
     """What is left of the volume, and which layer of which sweep has claimed each pixel."""
 
     def __init__(
         self,
-        views: ViewArrays,
+        views: PackedViews,
         scene: Scene,
         hull: PhotoHull,
         occupied: NDArray[np.bool_],
@@ -144,10 +135,10 @@ class _Carving:
     ) -> None:
         self.views, self.hull, self.occupied, self.test, self.observer = views, hull, occupied, test, observer
         self.shape = np.array(occupied.shape)
-        self.sweep_of = np.where(views.free, _largest_components(scene, views.free.shape), np.int8(-1))
+        self.sweep_of = np.where(views.foreground, _largest_components(scene, views.foreground.shape), np.int8(-1))
         self.first_layers = _first_layers(scene, hull.volume)
         # Nothing is seen through the pixels of a sweep before it has run.
-        self.claimed = np.full(views.free.shape, -1, np.int32)
+        self.claimed = np.full(views.foreground.shape, -1, np.int32)
 
     def drop_unseen(self) -> None:
         """Leave out voxels that lie outside every image, so that they do not hide others."""
@@ -226,9 +217,9 @@ class _Carving:
     ) -> tuple[NDArray[np.int32], NDArray[np.int64], NDArray[np.bool_], NDArray[np.bool_]]:
         """Boxes (n, n_views, 4), visible pixels (n, n_views), and whether foreground or the sweep's pixels are in."""
         views, volume = self.views, self.hull.volume
-        asked = np.ones(len(views.free), np.bool_) if asked is None else asked
-        boxes = np.empty((len(voxels), len(views.free), 4), np.int32)
-        counts = np.empty((len(voxels), len(views.free)), np.int64)
+        asked = np.ones(len(views), np.bool_) if asked is None else asked
+        boxes = np.empty((len(voxels), len(views), 4), np.int32)
+        counts = np.empty((len(voxels), len(views)), np.int64)
         in_frame, in_sweep = np.zeros(len(voxels), np.bool_), np.zeros(len(voxels), np.bool_)
         visible_pixels(
             voxels, self.shape, volume.origin, volume.voxel_size, views.projections, views.sizes,
@@ -241,9 +232,8 @@ class _Carving:
         boxes, counts, _, _ = self._footprints(voxels)
         visible = counts.any(axis=1)
         voxels, boxes, counts = voxels[visible], boxes[visible], counts[visible]
-        ends = np.cumsum(counts).reshape(counts.shape)
-        view_starts = np.concatenate([ends[:, :1] - counts[:, :1], ends], axis=1)
-        colors = np.empty((int(ends[-1, -1]) if ends.size else 0, 3), np.uint8)
+        view_starts = starts_of(counts)
+        colors = np.empty((int(view_starts[-1, -1]) if view_starts.size else 0, 3), np.uint8)
         gather_visible(
             voxels, self.shape, boxes, view_starts, self.sweep_of, self.first_layers, self.claimed,
             self.views.images, colors,

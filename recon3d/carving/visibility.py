@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from recon3d.errors import VisibilityError
-from recon3d.scene import Scene, bounds_corners
+from recon3d.scene.bounds import bounds_corners
+from recon3d.scene.scene import Scene
 
 _BLOCK = 10_000  # pairs of limits that are tried at once
 _STEP = 1e-4  # how far, in radians, candidate directions stand off the edges between cells

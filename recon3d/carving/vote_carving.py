@@ -7,23 +7,21 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_fill_holes, gaussian_filter
 
+from recon3d.carving.depth_votes import MIN_DEVIATION, carve_by_depths, hull_of_field
 from recon3d.carving.item_buffer import ItemBuffer
-from recon3d.carving.photo_hull import Label, PhotoHull, Progress
-from recon3d.carving.views import ViewArrays
-from recon3d.carving.visual_hull import color_visible, hull_distance
-from recon3d.consistency import ConsistencyTest
-from recon3d.errors import EmptyReconstructionError, SceneError
-from recon3d.kernels.matching import best_depths, count_agreements, fuse_depths
-from recon3d.scene import Scene
-from recon3d.volume import CarvingVolume
-
-MIN_DEVIATION = 1.0
-"""Grey levels; a window with less contrast has nothing to match."""
+from recon3d.carving.start import hull_distance
+from recon3d.consistency.base import ConsistencyTest
+from recon3d.errors import EmptyReconstructionError
+from recon3d.kernels.matching import best_depths, count_agreements
+from recon3d.scene.neighbours import matching_neighbours
+from recon3d.scene.packed import PackedViews
+from recon3d.scene.scene import Scene
+from recon3d.tasks import Progress
+from recon3d.volume.carved import Label, PhotoHull
+from recon3d.volume.dense import CarvingVolume
 
 _FINEST = 2.0  # pixel footprints; a window is twice as wide
-_NEAREST_ANGLE, _FARTHEST_ANGLE = 5.0, 60.0  # degrees between viewing directions that can be matched
 
 
 @dataclass(frozen=True)
@@ -99,7 +97,7 @@ def vote_carving(
     if not -1 < min_score < 1 or not truncation > 0:
         raise ValueError(f"expected min_score in (-1, 1) and truncation > 0, got {min_score} and {truncation}")
     neighbours = matching_neighbours(scene)
-    views = ViewArrays(scene)
+    views = scene.packed
     hull_field = hull_distance(scene, volume)
     inside_hull = volume.occupied & (hull_field > 0)
     field = np.where(volume.occupied, hull_field, np.minimum(hull_field, -volume.voxel_size))
@@ -125,48 +123,13 @@ def vote_carving(
     return hull_of_field(field, labels, volume, views)
 
 
-def hull_of_field(
-    field: NDArray[np.float32], carved: NDArray[np.integer], volume: CarvingVolume, views: ViewArrays
-) -> PhotoHull:
-    """Hull of the voxels with a positive signed distance (nx, ny, nz), coloured; labels of the others are given."""
-    hull = PhotoHull.untouched(volume, field.astype(np.float32))
-    hull.labels[...] = np.where(field > 0, Label.HIDDEN, carved)
-    color_visible(hull, ItemBuffer(views, volume), field > 0)
-    return hull
-
-
-def matching_neighbours(scene: Scene, most: int = 4) -> list[list[int]]:
-    """For each view at most so many others, the nearest first, seen from the bounds' centre 5 to 60 degrees from it.
-
-    Views less than 5 degrees apart count as one.
-
-    Raises
-    ------
-    SceneError : no view has such a neighbour.
-    """
-    directions = scene.centers - np.asarray(scene.bounds.get_center())
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    angles = np.degrees(np.arccos(np.clip(directions @ directions.T, -1, 1)))
-    chosen: list[list[int]] = []
-    for row in angles:
-        others: list[int] = []
-        for other in np.argsort(row, kind="stable"):
-            apart = all(angles[other, known] >= _NEAREST_ANGLE for known in others)
-            if _NEAREST_ANGLE <= row[other] <= _FARTHEST_ANGLE and apart and len(others) < most:
-                others.append(int(other))
-        chosen.append(others)
-    if not any(chosen):
-        raise SceneError(f"scene {scene.name}: no two views lie 5 to 60 degrees apart, so none can be matched")
-    return chosen
-
-
 @dataclass(frozen=True)
 class _Matcher:
     """Finds depths by correlation."""
 
     scene: Scene
     volume: CarvingVolume
-    views: ViewArrays
+    views: PackedViews
     neighbours: list[list[int]]
     min_score: float
     resolution: float
@@ -208,47 +171,3 @@ class _Matcher:
             agreements,
         )
         return np.where(agreements > 0, depths, 0), np.where(agreements > 0, weights, 0)
-
-
-def carve_by_depths(
-    field: NDArray[np.float32],
-    volume: CarvingVolume,
-    views: ViewArrays,
-    depths: NDArray[np.float32],
-    weights: NDArray[np.float32],
-    *,
-    stride: int,
-    resolution: float,
-    truncation: float,
-    prior: float,
-    margin: float = 0.0,
-) -> NDArray[np.float32]:
-    """Signed distance field (nx, ny, nz) after the depth maps' votes; never larger than before but in filled holes.
-
-    Parameters
-    ----------
-    depths, weights : (n_views, rows, columns) of every stride-th pixel along the optical axis, world units; a weight
-        of 0 marks pixels that do not vote.
-    resolution : width of the blur that joins votes, and unit of the margin; world units.
-    truncation : how far before and behind a depth it is evidence for the surface's exact place, world units.
-    prior : weight of the vote for solid that every voxel starts with.
-    margin : resolutions left in front of the surface found.
-    """
-    occupied = field > 0
-    voxels = np.argwhere(occupied)
-    distance, support = np.zeros(len(voxels)), np.zeros(len(voxels))
-    fuse_depths(
-        voxels, volume.origin, volume.voxel_size, views.projections, depths, weights, stride, truncation,
-        distance, support,
-    )  # fmt: skip
-    votes, weight = np.zeros(volume.shape, np.float32), np.zeros(volume.shape, np.float32)
-    votes[occupied], weight[occupied] = distance * support, support
-    # Blurred together with their weights, so that one stray ray cannot bore a hole.
-    blur = resolution / volume.voxel_size
-    votes, weight = gaussian_filter(votes, blur), gaussian_filter(weight, blur)
-    judged = (votes + prior * truncation) / (weight + prior)
-    carved = np.where(occupied, np.minimum(field, judged + margin * resolution), field)
-    # A cavity without an opening was seen by nobody.
-    enclosed = binary_fill_holes(carved > 0) & (carved <= 0) & occupied
-    carved[enclosed] = volume.voxel_size
-    return np.asarray(carved, np.float32)

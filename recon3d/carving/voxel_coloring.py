@@ -3,26 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from itertools import product
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from recon3d.carving.judging import judge
-from recon3d.carving.observing import CANDIDATE, Observer
-from recon3d.carving.photo_hull import Label, PhotoHull, Progress
-from recon3d.carving.views import ViewArrays
+from recon3d.carving.hysteresis import CANDIDATE, Connectivity, neighbour_offsets
+from recon3d.carving.observations import UnclaimedPixels, carve_background, judge
+from recon3d.carving.observer import Observer
 from recon3d.carving.visibility import require_sweep_direction
-from recon3d.consistency import ConsistencyTest, FuzzyAdaptiveHysteresis
+from recon3d.consistency.base import ConsistencyTest
+from recon3d.consistency.fuzzy import FuzzyAdaptiveHysteresis
 from recon3d.errors import EmptyReconstructionError
-from recon3d.kernels.footprints import mark
 from recon3d.kernels.lattice import grow_consistent
 from recon3d.kernels.ragged import mean_colors
-from recon3d.scene import Scene
-from recon3d.volume import CarvingVolume
+from recon3d.scene.scene import Scene
+from recon3d.tasks import Progress
+from recon3d.volume.carved import Label, PhotoHull
+from recon3d.volume.dense import CarvingVolume
 
-Connectivity = Literal[6, 18, 26]
 Layering = Literal["slabs", "voxels"]
 
 
@@ -73,25 +72,25 @@ def voxel_coloring(
     test = FuzzyAdaptiveHysteresis() if test is None else test
     offsets = neighbour_offsets(connectivity)
     direction = require_sweep_direction(scene, volume.bounds).direction
-    views = ViewArrays(scene)
+    views, unclaimed = scene.packed, UnclaimedPixels(scene.packed, volume)
 
     hull = PhotoHull.untouched(volume)
     occupied = volume.occupied.copy()
-    views.carve_background(occupied, volume)
+    carve_background(views, occupied, volume)
     hull.labels[volume.occupied & ~occupied] = Label.BACKGROUND
 
     layers = list(near_to_far(occupied, direction, layering))
     for n, layer in enumerate(layers):
-        boxes, counts, in_frame = views.footprints(layer, volume)
+        boxes, counts, in_frame = unclaimed.footprints(layer)
         visible = counts.any(axis=1)
         hull.set_labels(layer[~visible & in_frame], Label.HIDDEN)
 
         shown, boxes = layer[visible], boxes[visible]
-        patches = views.patches(boxes, counts[visible])
+        patches = unclaimed.patches(boxes, counts[visible])
         verdict = judge(test, patches, volume.origin + volume.voxel_size * (shown + 0.5), volume.voxel_size, views)
         hull.record(shown, verdict.degree, patches.n_views)
         if observer:
-            observer.judged(shown, patches, verdict, lambda _: views.free)
+            observer.judged(shown, patches, verdict, lambda _: unclaimed.mask)
 
         consistent = verdict.degree >= verdict.high
         candidate = ~consistent & (verdict.degree > verdict.low)
@@ -106,7 +105,7 @@ def voxel_coloring(
         means = np.empty((len(shown), 3), np.uint8)
         mean_colors(patches.colors, patches.starts, means)
         hull.accept(shown[accepted], means[accepted])
-        mark(boxes, np.flatnonzero(accepted), views.free)
+        unclaimed.claim(boxes[accepted])
         if progress:
             progress(n + 1, len(layers))
 
@@ -131,11 +130,3 @@ def near_to_far(
     boundaries = np.flatnonzero(np.diff(key[order])) + 1 if layering == "slabs" else np.arange(1, len(order))
     for part in np.split(order, boundaries):
         yield voxels[part]
-
-
-def neighbour_offsets(connectivity: Connectivity) -> NDArray[np.int64]:
-    """(connectivity, 3) index steps to a voxel's neighbours."""
-    if connectivity not in (6, 18, 26):
-        raise ValueError(f"expected connectivity 6, 18 or 26, got {connectivity}")
-    reach = {6: 1, 18: 2, 26: 3}[connectivity]
-    return np.array([step for step in product((-1, 0, 1), repeat=3) if 0 < np.abs(step).sum() <= reach])

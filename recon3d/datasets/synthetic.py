@@ -12,8 +12,11 @@ import open3d as o3d
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
-from recon3d.rendering import Renderer, look_at, pixel_rays
-from recon3d.scene import Scene, View, make_bounds
+from recon3d.rendering.orbit import look_at
+from recon3d.rendering.renderer import Renderer, pixel_rays
+from recon3d.scene.bounds import make_bounds
+from recon3d.scene.scene import Scene
+from recon3d.scene.view import View
 
 Texture = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 """Albedo (n, 3) in [0, 1] at world points (n, 3)."""

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from recon3d.errors import DataError
-from recon3d.io.files import read_geometry, read_mesh, read_support, write_geometry
+from recon3d.io.checkpoints import StageFolder
+from recon3d.io.geometry import read_geometry, read_mesh, read_support, write_geometry
 from recon3d.io.middlebury import is_middlebury, read_angles, read_bounds, read_middlebury, write_middlebury
-from recon3d.io.stages import StageFolder
-from recon3d.scene import Scene
+from recon3d.scene.scene import Scene
 
 
 class Format(NamedTuple):

@@ -15,15 +15,19 @@ import open3d as o3d
 from numpy.typing import NDArray
 
 from recon3d.errors import DataError, SceneError
-from recon3d.io.files import read_image, write_image, write_text
-from recon3d.scene import Scene, View, bounds_corners, check_extrinsics, check_intrinsics, make_bounds
-from recon3d.silhouettes import (
+from recon3d.io.files import write_image, write_text
+from recon3d.scene.bounds import bounds_corners, make_bounds
+from recon3d.scene.camera import check_extrinsics, check_intrinsics
+from recon3d.scene.photograph import read_image
+from recon3d.scene.scene import Scene
+from recon3d.scene.silhouettes import (
     bounds_mask,
     foreground,
     with_mask_files,
     with_segmented_silhouettes,
     with_threshold_silhouettes,
 )
+from recon3d.scene.view import View
 
 PADDING = 0.01
 """Fraction of the longest side added around a README's box, which is tight to about a millimetre."""

@@ -9,11 +9,10 @@ import numpy as np
 import open3d as o3d
 from numpy.typing import NDArray
 
-from recon3d.carving.views import ViewArrays
 from recon3d.errors import EmptyReconstructionError
 from recon3d.kernels.planes import average_planes
-from recon3d.scene import Scene
-from recon3d.stereo.depth_maps import DepthMap, Matching, plane_normals
+from recon3d.scene.scene import Scene
+from recon3d.stereo.patch_match import DepthMap, Matching, plane_normals
 
 _TOLERANCE = 3.0  # pixel footprints between a point and a plane that agree
 _MAX_ANGLE = 45.0  # degrees between their normals
@@ -55,7 +54,7 @@ def fuse(scene: Scene, depth_maps: Sequence[DepthMap], matching: Matching) -> Fu
     """
     if len(depth_maps) != len(scene.views):
         raise ValueError(f"expected a depth map of each of {len(scene.views)} views, got {len(depth_maps)}")
-    views = ViewArrays(scene)
+    views = scene.packed
     planes = np.stack([depth_map.planes for depth_map in depth_maps])
     costs = np.stack([depth_map.costs for depth_map in depth_maps])
     normals = plane_normals(scene, planes, matching.stride)

@@ -1,0 +1,71 @@
+"""Carving by the votes of depth maps."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import binary_fill_holes, gaussian_filter
+
+from recon3d.carving.item_buffer import ItemBuffer
+from recon3d.carving.visible import color_visible
+from recon3d.kernels.matching import fuse_depths
+from recon3d.scene.packed import PackedViews
+from recon3d.volume.carved import Label, PhotoHull
+from recon3d.volume.dense import CarvingVolume
+
+MIN_DEVIATION = 1.0
+"""Grey levels; a window with less contrast has nothing to match."""
+
+
+def hull_of_field(
+    field: NDArray[np.float32], carved: NDArray[np.integer], volume: CarvingVolume, views: PackedViews
+) -> PhotoHull:
+    """Hull of the voxels with a positive signed distance (nx, ny, nz), coloured; labels of the others are given."""
+    hull = PhotoHull.untouched(volume, field.astype(np.float32))
+    hull.labels[...] = np.where(field > 0, Label.HIDDEN, carved)
+    color_visible(hull, ItemBuffer(views, volume), field > 0)
+    return hull
+
+
+def carve_by_depths(
+    field: NDArray[np.float32],
+    volume: CarvingVolume,
+    views: PackedViews,
+    depths: NDArray[np.float32],
+    weights: NDArray[np.float32],
+    *,
+    stride: int,
+    resolution: float,
+    truncation: float,
+    prior: float,
+    margin: float = 0.0,
+) -> NDArray[np.float32]:
+    """Signed distance field (nx, ny, nz) after the depth maps' votes; never larger than before but in filled holes.
+
+    Parameters
+    ----------
+    depths, weights : (n_views, rows, columns) of every stride-th pixel along the optical axis, world units; a weight
+        of 0 marks pixels that do not vote.
+    resolution : width of the blur that joins votes, and unit of the margin; world units.
+    truncation : how far before and behind a depth it is evidence for the surface's exact place, world units.
+    prior : weight of the vote for solid that every voxel starts with.
+    margin : resolutions left in front of the surface found.
+    """
+    occupied = field > 0
+    voxels = np.argwhere(occupied)
+    distance, support = np.zeros(len(voxels)), np.zeros(len(voxels))
+    fuse_depths(
+        voxels, volume.origin, volume.voxel_size, views.projections, depths, weights, stride, truncation,
+        distance, support,
+    )  # fmt: skip
+    votes, weight = np.zeros(volume.shape, np.float32), np.zeros(volume.shape, np.float32)
+    votes[occupied], weight[occupied] = distance * support, support
+    # Blurred together with their weights, so that one stray ray cannot bore a hole.
+    blur = resolution / volume.voxel_size
+    votes, weight = gaussian_filter(votes, blur), gaussian_filter(weight, blur)
+    judged = (votes + prior * truncation) / (weight + prior)
+    carved = np.where(occupied, np.minimum(field, judged + margin * resolution), field)
+    # A cavity without an opening was seen by nobody.
+    enclosed = binary_fill_holes(carved > 0) & (carved <= 0) & occupied
+    carved[enclosed] = volume.voxel_size
+    return np.asarray(carved, np.float32)

@@ -1,0 +1,136 @@
+"""What the views show of voxels, and what a photo-consistency test says of it."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recon3d.consistency.base import ConsistencyTest, Patches, Verdict
+from recon3d.kernels.footprints import carve_background as clear_background
+from recon3d.kernels.footprints import free_pixels, gather, mark
+from recon3d.kernels.rays import observe
+from recon3d.kernels.windows import sample_windows
+from recon3d.scene.packed import PackedViews
+from recon3d.volume.dense import CarvingVolume
+
+_NUMBERS = 1 << 24  # of directions and windows at once: 64 MiB
+
+
+class UnclaimedPixels:
+    """Foreground pixels of the views that no accepted voxel has claimed: P_j(v) = B_j(v) minus marked_j (eq. 5)."""
+
+    def __init__(self, views: PackedViews, volume: CarvingVolume) -> None:
+        self.views, self.volume = views, volume
+        self.mask = views.foreground.copy()
+        """(n_views, height, width)."""
+
+    def footprints(self, voxels: NDArray[np.int64]) -> tuple[NDArray[np.int32], NDArray[np.int64], NDArray[np.bool_]]:
+        """Boxes B_j(v) (n, n_views, 4), sizes of P_j(v) (n, n_views), and whether any image shows the voxel."""
+        views, volume = self.views, self.volume
+        boxes = np.empty((len(voxels), len(views), 4), np.int32)
+        counts = np.empty((len(voxels), len(views)), np.int64)
+        in_frame = np.zeros(len(voxels), np.bool_)
+        free_pixels(
+            voxels, volume.origin, volume.voxel_size, views.projections, views.sizes, views.integrals, self.mask,
+            boxes, counts, in_frame,
+        )  # fmt: skip
+        return boxes, counts, in_frame
+
+    def patches(self, boxes: NDArray[np.int32], counts: NDArray[np.int64]) -> Patches:
+        """P(v) of every voxel of a batch, by its ``footprints``."""
+        view_starts = starts_of(counts)
+        colors = np.empty((int(view_starts[-1, -1]) if view_starts.size else 0, 3), np.uint8)
+        gather(boxes, view_starts, self.mask, self.views.images, colors)
+        return Patches(colors, view_starts)
+
+    def claim(self, boxes: NDArray[np.int32]) -> None:
+        """Take the pixels of accepted voxels' boxes (n, n_views, 4) out."""
+        mark(boxes, np.arange(len(boxes)), self.mask)
+
+
+def starts_of(counts: NDArray[np.int64]) -> NDArray[np.int64]:
+    """(n, n_views + 1) ``Patches.view_starts`` of so many pixels (n, n_views) one after another."""
+    ends = np.cumsum(counts).reshape(counts.shape)
+    return np.concatenate([ends[:, :1] - counts[:, :1], ends], axis=1)
+
+
+def carve_background(views: PackedViews, occupied: NDArray[np.bool_], volume: CarvingVolume) -> None:
+    """Clear the voxels (nx, ny, nz) whose footprint, wholly in some image, holds background alone."""
+    clear_background(occupied, volume.origin, volume.voxel_size, views.projections, views.sizes, views.integrals)
+
+
+def judge(
+    test: ConsistencyTest, patches: Patches, centers: NDArray[np.float64], voxel_size: float, views: PackedViews
+) -> Verdict:
+    """Verdict of a test on the voxels around centres (n, 3), with the directions and windows that the test asks for.
+
+    Such extras take more memory than pixels do, so a test that wants them gets a large batch in parts.
+    """
+    directed, side = bool(getattr(test, "needs_directions", False)), int(getattr(test, "window_side", 0))
+    numbers = len(views.centers) * (3 * directed + side * side)
+    if not numbers:
+        return _checked(test, patches)
+    step = max(_NUMBERS // numbers, 1)
+    verdicts = []
+    for start in range(0, max(len(centers), 1), step):
+        points = centers[start : start + step]
+        part = patches.part(start, start + len(points))
+        directions = _directions(points, views) if directed else None
+        windows = _windows(points, part.counts, side, views, voxel_size) if side else None
+        verdicts.append(_checked(test, Patches(part.colors, part.view_starts, directions, windows)))
+    return Verdict(*(np.concatenate([getattr(v, name) for v in verdicts]) for name in ("degree", "low", "high")))
+
+
+def _checked(test: ConsistencyTest, patches: Patches) -> Verdict:
+    """The test's verdict, if it is one, of the batch's length."""
+    verdict = test(patches)
+    if not isinstance(verdict, Verdict):
+        raise ValueError(f"{test!r}: expected a Verdict, got {type(verdict).__name__}")
+    if len(verdict.degree) != patches.n_voxels:
+        raise ValueError(f"{test!r} judged {len(verdict.degree)} voxels of {patches.n_voxels}")
+    return verdict
+
+
+def _directions(centers: NDArray[np.float64], views: PackedViews) -> NDArray[np.float32]:
+    """(n, n_views, 3) unit vectors from points (n, 3) to the cameras."""
+    toward = views.centers - centers[:, None]
+    length = np.linalg.norm(toward, axis=-1, keepdims=True)
+    return np.asarray(toward / np.maximum(length, np.finfo(np.float64).tiny), np.float32)
+
+
+def _windows(
+    centers: NDArray[np.float64], counts: NDArray[np.int64], side: int, views: PackedViews, voxel_size: float
+) -> NDArray[np.float32]:
+    """(n, n_views, side * side) luminance of the views around points (n, 3); NaN where no pixel sees the voxel.
+
+    Samples lie one pixel apart, as fine as the views are, but farther where the voxel is larger than the window: the
+    surface may pass anywhere in it, and views must agree on what the whole voxel shows.
+    """
+    windows = np.empty((*counts.shape, side * side), np.float32)
+    sample_windows(
+        centers, voxel_size, counts, views.centers, views.projections, views.focals, views.sizes, views.images, side,
+        windows,
+    )  # fmt: skip
+    return windows
+
+
+def observations(
+    views: PackedViews, occupied: NDArray[np.bool_], volume: CarvingVolume
+) -> tuple[NDArray[np.int64], NDArray[np.uint8], NDArray[np.bool_]]:
+    """Voxels (n, 3) that some image shows, mean colour of each footprint (n, n_views, 3), and which views have one."""
+    voxels = np.argwhere(occupied)
+    colors = np.zeros((len(voxels), len(views), 3), np.uint8)
+    seen = np.zeros((len(voxels), len(views)), np.bool_)
+    observe(
+        voxels,
+        volume.origin,
+        volume.voxel_size,
+        views.projections,
+        views.sizes,
+        views.foreground,
+        views.images,
+        colors,
+        seen,
+    )
+    shown = seen.any(axis=1)
+    return voxels[shown], colors[shown], seen[shown]

@@ -1,0 +1,246 @@
+"""What the commands share: reading arguments into values, progress bars, tables."""
+
+from __future__ import annotations
+
+import ast
+import json
+import math
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from recon3d.errors import DataError
+
+if TYPE_CHECKING:  # Open3D takes seconds to import, --help should not
+    import open3d as o3d
+
+    from recon3d.consistency.base import ConsistencyTest
+    from recon3d.datasets.synthetic import BuiltInScene
+    from recon3d.pipeline import Progress
+    from recon3d.result import Reconstruction
+    from recon3d.scene.scene import Scene
+    from recon3d.settings import Settings
+
+
+def load(scene: str, bounds: str | None, silhouettes: str, mm_per_unit: float = 1000.0) -> Scene:
+    """Scene of a folder or of a built-in name."""
+    from recon3d.datasets.synthetic import SCENES
+    from recon3d.io import open_scene
+    from recon3d.scene.bounds import make_bounds
+    from recon3d.scene.silhouettes import without_silhouettes
+
+    if scene in SCENES and not Path(scene).exists():
+        if bounds is not None or silhouettes not in ("auto", "none") or mm_per_unit != 1000.0:
+            raise ValueError(f"{scene} is built in: it has its own bounds, silhouettes and unit")
+        built_in = photograph(scene).scene
+        if silhouettes == "none":
+            bare = without_silhouettes(built_in)
+            return replace(bare, notes={**bare.notes, "silhouettes from": "none"})
+        return built_in
+    numbers = numbers_of("--bounds", bounds, "six numbers X0,Y0,Z0,X1,Y1,Z1")
+    box = make_bounds(numbers[:3], numbers[3:]) if numbers else None
+    with progress() as report:
+        report("reading", 0, 1)
+        loaded = open_scene(scene, bounds=box, silhouettes=silhouettes, mm_per_unit=mm_per_unit)
+        report("reading", 1, 1)
+    return loaded
+
+
+def photograph(name: str, **options: Any) -> BuiltInScene:
+    """Built-in scene of a name."""
+    from recon3d.datasets.synthetic import SCENES
+
+    with progress() as report:
+        report("photographing", 0, 1)
+        built_in = SCENES[name](**options)
+        report("photographing", 1, 1)
+    return built_in
+
+
+def run(
+    scene: Scene, settings: Settings, ground_truth: o3d.geometry.TriangleMesh | None, stages: Path | None = None
+) -> Reconstruction:
+    """Reconstruct under progress bars, keeping finished stages in a folder where one is given."""
+    from recon3d.pipeline import keep_stages, reconstruct
+
+    kept = None if stages is None else keep_stages(stages, scene, settings)
+    with progress() as report:
+        return reconstruct(scene, settings, ground_truth=ground_truth, stages=kept, progress=report)
+
+
+def save(result: Reconstruction, folder: Path, formats: list[str], *, pictures: bool = True) -> dict[str, Path]:
+    """Write a result and, where it was measured, its curves."""
+    from recon3d.reporting.figures import save_evaluation
+    from recon3d.reporting.saving import save as save_result
+
+    with progress() as report:
+        report("writing", 0, 1)
+        written = save_result(result, folder, mesh_formats=formats, pictures=pictures)
+        if result.evaluation:
+            written |= save_evaluation(result.evaluation, folder)
+        report("writing", 1, 1)
+    return written
+
+
+def make_test(name: str | None, options: list[str]) -> ConsistencyTest:
+    """Photo-consistency test of a name, with NAME=VALUE options."""
+    from recon3d.consistency import load_test
+
+    values = keywords(options)
+    try:
+        return load_test(name or "fuzzy", **values)
+    except ValueError as error:
+        raise ValueError(f"{'--test-option' if values else '--test'}: {error}") from None
+
+
+def views_of(option: str) -> Any:
+    """The settings' choice of views: "auto", "all" or a tuple of names."""
+    return option if option in ("auto", "all") else names_of(option)
+
+
+def names_of(option: str) -> tuple[str, ...]:
+    """Names between commas."""
+    return tuple(name.strip() for name in option.split(","))
+
+
+def keywords(options: list[str]) -> dict[str, Any]:
+    """Keyword arguments of NAME=VALUE options; a value that is no Python literal is text."""
+    values = {}
+    for option in options:
+        key, sign, text = option.partition("=")
+        if not sign:
+            raise ValueError(f"expected NAME=VALUE, got {option!r}")
+        try:
+            values[key] = ast.literal_eval(text)
+        except (ValueError, SyntaxError):
+            values[key] = text
+    return values
+
+
+def sweep_of(option: str) -> tuple[str, list[float]]:
+    """Parameter and values of NAME=LOW:HIGH:STEP, both ends included; whole numbers stay whole."""
+    name, _, text = option.partition("=")
+    try:
+        low, high, step = (ast.literal_eval(number) for number in text.split(":"))
+        values = [round(low + n * step, 12) for n in range(math.floor((high - low) / step + 1e-9) + 1)]
+    except (ValueError, SyntaxError, TypeError, ArithmeticError):
+        values = []
+    if not (name and values):
+        raise ValueError(f"--sweep: expected NAME=LOW:HIGH:STEP, got {option!r}")
+    return name, values
+
+
+def mesh_of(result: Path) -> Path:
+    """The mesh file of a result folder, or the file itself."""
+    from recon3d.io.geometry import MESH_SUFFIXES
+
+    found = [result / f"mesh{suffix}" for suffix in MESH_SUFFIXES if (result / f"mesh{suffix}").is_file()]
+    if result.is_dir() and not found:
+        raise DataError(f"{result}: expected the folder of a result, with a mesh in it")
+    return found[0] if result.is_dir() else result
+
+
+def record_of(result: Path) -> dict[str, Any] | None:
+    """What is recorded of the scene of a result's folder or file, and of what was done; None without a record."""
+    file = (result if result.is_dir() else result.parent) / "record.json"
+    if not file.is_file():
+        return None
+    try:
+        record: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+        scene = record["scene"]
+        return {name: scene[name] for name in ("views", "bounds", "mm_per_unit")} | {
+            "source": scene.get("source"),
+            "silhouettes": scene.get("silhouettes from", "auto"),
+            "settings": record.get("settings"),
+            "voxels": record.get("voxels"),
+        }
+    except (ValueError, KeyError, TypeError) as error:
+        raise DataError(f"{file}: expected the record of a run, got something else ({error!r})") from None
+
+
+def recorded_scene(result: Path, record: dict[str, Any] | None, *, silhouettes: str = "none", hint: str = "") -> Scene:
+    """The scene that a result was made of, with the views that were used; a hint ends the error that none is known."""
+    from recon3d.datasets.synthetic import SCENES
+
+    if record is None or record["source"] is None:
+        raise DataError(f"{result}: no record says which scene this was made of{hint}")
+    box = None if record["source"] in SCENES else ",".join(str(x) for corner in record["bounds"] for x in corner)
+    return load(record["source"], box, silhouettes, record["mm_per_unit"]).subset(record["views"])
+
+
+def recorded_settings(result: Path, record: dict[str, Any] | None) -> Settings:
+    """The settings that a result was made with, the same test among them."""
+    from recon3d.settings import Settings
+
+    if not result.exists() or record is None or record["settings"] is None:
+        raise DataError(f"{result}: expected the folder of a result, with a record.json that tells the settings")
+    try:
+        return Settings.from_record(record["settings"])
+    except (ValueError, KeyError, TypeError, DataError) as error:
+        raise DataError(f"{result}: the recorded settings cannot be used again: {error}") from None
+
+
+def numbers_of(option: str, text: str | None, form: str) -> list[float] | None:
+    """Numbers of an option, as many as its form "three numbers X,Y,Z" has; None where it was not given."""
+    if text is None:
+        return None
+    try:
+        numbers = [float(number) for number in text.split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) != form.count(",") + 1:
+        raise ValueError(f"{option}: expected {form}, got {text!r}")
+    return numbers
+
+
+def pixel_of(text: str | None) -> tuple[str, float, float] | None:
+    """View's name and pixel of an option like view01.png,80,60; None where it was not given."""
+    if text is None:
+        return None
+    name, _, numbers = text.partition(",")
+    place = numbers_of("--pixel", numbers, "a view's name and two numbers U,V") or []
+    return name, place[0], place[1]
+
+
+def writable(folder: Path) -> Path:
+    """The folder, made if need be; an error before any work where nothing can be written to it."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            return folder
+    except OSError as error:
+        raise ValueError(f"--output {folder}: expected a folder that can be written ({error.strerror})") from None
+
+
+def beside(result: Path, name: str) -> Path:
+    """Folder for what is made from a result: inside its folder, or beside its file."""
+    return (result if result.is_dir() else result.parent) / name
+
+
+def say(rows: dict[str, Any]) -> None:
+    """Print a table to standard output."""
+    for name, value in rows.items():
+        typer.echo(f"{name + ':':32} {value}")
+
+
+@contextmanager
+def progress() -> Iterator[Progress]:
+    """Bars on standard error, one a stage; nothing where that is not a terminal."""
+    from rich.console import Console
+    from rich.progress import Progress as Bars
+
+    with Bars(console=Console(stderr=True), disable=not sys.stderr.isatty(), transient=True) as bars:
+        tasks: dict[str, Any] = {}
+
+        def report(stage: str, done: int, total: int) -> None:
+            if stage not in tasks:
+                tasks[stage] = bars.add_task(stage, total=None if total == 1 else total)
+            bars.update(tasks[stage], completed=done, total=None if total == 1 and done == 0 else total)
+
+        yield report

@@ -1,0 +1,257 @@
+"""Accuracy and completeness of a reconstruction against a ground truth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import open3d as o3d
+from numpy.typing import NDArray
+
+from recon3d.rendering.ray_caster import RayCaster
+from recon3d.summary import Summarised
+from recon3d.volume.dense import CarvingVolume
+
+Shape = o3d.geometry.TriangleMesh | o3d.geometry.PointCloud | o3d.geometry.VoxelGrid | CarvingVolume
+
+
+SAMPLES_PER_DIAGONAL = 1000
+"""Samples lie about this fraction of the ground truth's bounding-box diagonal apart."""
+
+
+MOST_SAMPLES = 1e8
+"""More samples of one mesh than this are a mistake."""
+
+
+MEASURED_SHARE = 4
+"""Distances are measured from every fourth sample of a mesh, to all of the other's."""
+
+
+@dataclass(frozen=True, repr=False)
+class Evaluation(Summarised):
+    """Both directions of the distance between a reconstruction R and a ground truth G, in millimetres."""
+
+    accuracy_distances: NDArray[np.float64]
+    """(n,) from samples of R to G, ascending."""
+    completeness_distances: NDArray[np.float64]
+    """(m,) from samples of G to R, ascending."""
+    accuracy_percent: float = 90.0
+    """Share of R that the accuracy speaks of."""
+    completeness_threshold_mm: float = 1.25
+    """Distance that counts as covered."""
+    left_out: int = 0
+    """Samples of R that lie nearest to parts of G that are no real data."""
+
+    @property
+    def accuracy_mm(self) -> float:
+        """Distance within which ``accuracy_percent`` of R lies from G; smaller is better."""
+        return self.accuracy_at(self.accuracy_percent)
+
+    @property
+    def completeness_percent(self) -> float:
+        """Share of G that lies within ``completeness_threshold_mm`` of R; larger is better."""
+        return self.completeness_at(self.completeness_threshold_mm)
+
+    @property
+    def precision_percent(self) -> float:
+        """Share of R that lies within ``completeness_threshold_mm`` of G; larger is better."""
+        right = np.searchsorted(self.accuracy_distances, self.completeness_threshold_mm, side="right")
+        return 100.0 * int(right) / len(self.accuracy_distances)
+
+    def accuracy_at(self, percent: float) -> float:
+        """Distance in mm within which a percentage of R lies from G (nearest rank)."""
+        rank = int(np.ceil(percent / 100 * len(self.accuracy_distances) - 1e-9))
+        return float(self.accuracy_distances[max(rank, 1) - 1])
+
+    def completeness_at(self, threshold_mm: float) -> float:
+        """Percentage of G within a distance of R."""
+        covered = np.searchsorted(self.completeness_distances, threshold_mm, side="right")
+        return 100.0 * int(covered) / len(self.completeness_distances)
+
+    def curves(self, n: int = 100) -> dict[str, list[float]]:
+        """Both cumulative distributions, in percent, at n distances up to the larger 99% quantile."""
+        largest = max(np.quantile(self.accuracy_distances, 0.99), np.quantile(self.completeness_distances, 0.99))
+        distance = np.linspace(0, max(float(largest), self.completeness_threshold_mm), n)
+
+        def percent_within(sorted_distances: NDArray[np.float64]) -> list[float]:
+            within = np.searchsorted(sorted_distances, distance, side="right")
+            return [float(x) for x in 100.0 * within / len(sorted_distances)]
+
+        return {
+            "distance_mm": [float(x) for x in distance],
+            "reconstruction_within_percent": percent_within(self.accuracy_distances),
+            "ground_truth_within_percent": percent_within(self.completeness_distances),
+        }
+
+    def summary(self) -> dict[str, object]:
+        """Table of the figures."""
+        return {
+            f"accuracy ({self.accuracy_percent:g}% of R)": f"{self.accuracy_mm:.3g} mm",
+            f"completeness ({self.completeness_threshold_mm:g} mm)": f"{self.completeness_percent:.1f}%",
+            "median distance R to G": f"{self.accuracy_at(50):.3g} mm",
+            "mean distance R to G": f"{self.accuracy_distances.mean():.3g} mm",
+            "mean distance G to R": f"{self.completeness_distances.mean():.3g} mm",
+        }
+
+    def record(self) -> dict[str, object]:
+        """The figures for a JSON file."""
+        return {
+            "accuracy_percent": self.accuracy_percent,
+            "accuracy_mm": self.accuracy_mm,
+            "completeness_threshold_mm": self.completeness_threshold_mm,
+            "completeness_percent": self.completeness_percent,
+            "median_mm": self.accuracy_at(50),
+            "mean_reconstruction_to_ground_truth_mm": float(self.accuracy_distances.mean()),
+            "mean_ground_truth_to_reconstruction_mm": float(self.completeness_distances.mean()),
+            "reconstruction_samples": len(self.accuracy_distances),
+            "ground_truth_samples": len(self.completeness_distances),
+            "samples_left_out": self.left_out,
+        }
+
+
+def evaluate(
+    reconstruction: Shape,
+    ground_truth: o3d.geometry.TriangleMesh | o3d.geometry.PointCloud,
+    *,
+    mm_per_unit: float = 1000.0,
+    accuracy_percent: float = 90.0,
+    completeness_threshold_mm: float = 1.25,
+    real: NDArray[np.bool_] | None = None,
+    spacing: float | None = None,
+    seed: int = 0,
+) -> Evaluation:
+    """Measure a reconstruction R against a ground truth G as the Middlebury benchmark does.
+
+    Meshes are sampled uniformly by area; of a point cloud the points and of a voxel grid the centres of its surface
+    voxels are taken as they are. Distances run between samples, by Open3D's KD-tree.
+
+    Parameters
+    ----------
+    reconstruction : mesh, point cloud, voxel grid or carving volume in the ground truth's frame and unit.
+    ground_truth : mesh or point cloud.
+    mm_per_unit : millimetres in one world unit of both.
+    accuracy_percent : share of R, in (0, 100].
+    completeness_threshold_mm : covered distance.
+    real : (n_triangles,) or (n_points,) of G; False marks filler such as a closed hole. Completeness is not asked
+        there, and samples of R nearest to it are left out. All real when None.
+    spacing : mean distance of neighbouring samples, world units; a thousandth of G's box diagonal when None.
+    seed : of the sampling.
+
+    References
+    ----------
+    Seitz, Curless, Diebel, Scharstein, Szeliski, "A comparison and evaluation of multi-view stereo reconstruction
+    algorithms", CVPR 2006, section 5.
+    """
+    if not 0 < accuracy_percent <= 100:
+        raise ValueError(f"expected an accuracy percentage in (0, 100], got {accuracy_percent}")
+    if not (0 < completeness_threshold_mm < np.inf and 0 < mm_per_unit < np.inf):
+        raise ValueError(
+            f"expected a positive completeness threshold and mm_per_unit, got {completeness_threshold_mm} "
+            f"and {mm_per_unit}"
+        )
+    if ground_truth.is_empty():
+        raise ValueError(f"the {type(ground_truth).__name__} to evaluate against is empty")
+    if spacing is None:
+        diagonal = np.linalg.norm(ground_truth.get_max_bound() - ground_truth.get_min_bound())
+        spacing = float(diagonal) / SAMPLES_PER_DIAGONAL
+    if not 0 < spacing < np.inf:
+        raise ValueError(f"expected a positive spacing of the samples, got {spacing}")
+    rng = np.random.default_rng(seed)
+    samples_g, owner_g = sample_surface(ground_truth, spacing, rng)
+    samples_r, _ = sample_surface(reconstruction, spacing, rng)
+    # Stratified samples come in the order of the triangles, so that every fourth is as even as all.
+    step_g, step_r = (
+        MEASURED_SHARE if isinstance(shape, o3d.geometry.TriangleMesh) else 1
+        for shape in (ground_truth, reconstruction)
+    )
+    if real is None:
+        real_g = np.ones(len(samples_g), np.bool_)
+    else:
+        n_owners = len(
+            ground_truth.triangles if isinstance(ground_truth, o3d.geometry.TriangleMesh) else ground_truth.points
+        )
+        if real.shape != (n_owners,) or real.dtype != np.bool_ or not real.any():
+            raise ValueError(f"expected a bool mask ({n_owners},) with a True in it, got {real.shape} {real.dtype}")
+        real_g = real[owner_g]
+
+    to_g, nearest = _distances(samples_r[::step_r], samples_g, want_index=real is not None)
+    kept = real_g[nearest] if real is not None else np.ones(len(to_g), np.bool_)
+    if not kept.any():
+        raise ValueError("every sample of the reconstruction lies nearest to filler: are both in one frame?")
+    to_r, _ = _distances(samples_g[real_g][::step_g], samples_r)
+    return Evaluation(
+        np.sort(to_g[kept]) * mm_per_unit,
+        np.sort(to_r) * mm_per_unit,
+        accuracy_percent,
+        completeness_threshold_mm,
+        int(np.count_nonzero(~kept)),
+    )
+
+
+def triangles_near(
+    mesh: o3d.geometry.TriangleMesh, data: o3d.geometry.TriangleMesh, distance: float
+) -> NDArray[np.bool_]:
+    """(n_triangles,) which triangles' centroids lie within a distance of another mesh: a ``real`` mask."""
+    centroids = np.asarray(mesh.vertices)[np.asarray(mesh.triangles)].mean(axis=1)
+    return np.asarray(distance_to_mesh(centroids, data) <= distance)
+
+
+def distance_to_mesh(points: NDArray[np.float64], mesh: o3d.geometry.TriangleMesh) -> NDArray[np.float64]:
+    """(n,) exact distances of points (n, 3) to a mesh's triangles, world units."""
+    return RayCaster(mesh).distances(points)
+
+
+def sample_surface(
+    shape: Shape, spacing: float, rng: np.random.Generator
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Points (n, 3) on a shape, and the triangle or element (n,) each comes from.
+
+    A mesh gets area / spacing^2 points, uniform by area, at least one; others give their own points.
+    """
+    if isinstance(shape, o3d.geometry.VoxelGrid):
+        shape = CarvingVolume.from_voxel_grid(shape)
+    if isinstance(shape, CarvingVolume):
+        points = shape.centers(shape.surface())
+    elif isinstance(shape, o3d.geometry.PointCloud):
+        points = np.asarray(shape.points)
+    else:
+        return _sample_mesh(shape, spacing, rng)
+    if not len(points):
+        raise ValueError(f"the {type(shape).__name__} to evaluate is empty")
+    return points, np.arange(len(points))
+
+
+def _sample_mesh(
+    mesh: o3d.geometry.TriangleMesh, spacing: float, rng: np.random.Generator
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    corners = np.asarray(mesh.vertices)[np.asarray(mesh.triangles)]
+    if not len(corners):
+        raise ValueError("the mesh to evaluate has no triangles")
+    area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    wanted = float(area.sum()) / spacing**2
+    if not wanted < MOST_SAMPLES:
+        raise ValueError(
+            f"measuring would take {wanted:.3g} samples of a mesh; expected two shapes of about one size: "
+            "are both in one unit, and finite?"
+        )
+    n = max(round(wanted), 1)
+    # Stratified along the cumulated area, so that the density is even and every large triangle is met.
+    position = (np.arange(n) + rng.random(n)) * (area.sum() / n)
+    owner = np.minimum(np.searchsorted(np.cumsum(area), position, side="right"), len(area) - 1)
+    # Square root of one uniform number: uniform over a triangle (Osada et al., "Shape distributions", 2002).
+    root, other = np.sqrt(rng.random((n, 1))), rng.random((n, 1))
+    a, b, c = (corners[owner, vertex] for vertex in range(3))
+    return (1 - root) * a + root * (1 - other) * b + root * other * c, owner
+
+
+def _distances(
+    source: NDArray[np.float64], target: NDArray[np.float64], *, want_index: bool = False
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Distances of source points to their nearest target points, and which ones those are where asked."""
+    if want_index:
+        search = o3d.core.nns.NearestNeighborSearch(o3d.core.Tensor.from_numpy(target))
+        search.knn_index()
+        index, squared = search.knn_search(o3d.core.Tensor.from_numpy(source), 1)
+        return np.sqrt(squared.numpy().ravel()), index.numpy().ravel()
+    clouds = [o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points)) for points in (source, target)]
+    return np.asarray(clouds[0].compute_point_cloud_distance(clouds[1])), np.empty(0, np.int64)

@@ -1,0 +1,182 @@
+"""Open3D geometry in and out of files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import open3d as o3d
+import trimesh
+from numpy.typing import NDArray
+
+from recon3d.errors import DataError
+from recon3d.io.files import atomic_path
+
+Geometry = o3d.geometry.TriangleMesh | o3d.geometry.PointCloud | o3d.geometry.VoxelGrid
+
+
+MESH_SUFFIXES = (".ply", ".obj", ".glb", ".stl")
+
+
+_PLY_TYPES = {"double": "<f8", "float": "<f4", "int": "<i4", "uint": "<u4", "uchar": "u1"}
+
+
+def write_geometry(
+    path: Path | str,
+    geometry: Geometry,
+    *,
+    support: NDArray[np.int64] | None = None,
+    confidence: NDArray[np.float64] | None = None,
+) -> Path:
+    """Write a mesh (PLY, OBJ, GLB, STL), a point cloud (PLY) or a voxel grid (PLY); returns the path.
+
+    Parameters
+    ----------
+    support : (n_vertices,) how many views see each vertex of a mesh, for ``read_support``; kept by PLY alone.
+    confidence : (n_points,) in each point of a cloud, kept as a property of that name.
+
+    Raises
+    ------
+    ValueError : the geometry cannot be written in that format.
+    OSError : the file could not be written.
+    """
+    path = Path(path)
+    allowed = MESH_SUFFIXES if isinstance(geometry, o3d.geometry.TriangleMesh) else (".ply",)
+    if path.suffix.lower() not in allowed:
+        raise ValueError(f"{path}: a {type(geometry).__name__} is written as {', '.join(allowed)}")
+    if support is not None and (
+        not isinstance(geometry, o3d.geometry.TriangleMesh) or support.shape != (len(geometry.vertices),)
+    ):
+        raise ValueError(f"{path}: expected a number for each vertex of a mesh as support, got shape {support.shape}")
+    with atomic_path(path) as temporary:
+        if isinstance(geometry, o3d.geometry.TriangleMesh):
+            if path.suffix.lower() == ".ply":
+                done = _write_ply(temporary, geometry, support)
+            else:  # Open3D 0.20 cannot read the GLB that it writes
+                done = bool(_to_trimesh(geometry).export(temporary, file_type=path.suffix[1:].lower()))
+        elif isinstance(geometry, o3d.geometry.PointCloud):
+            cloud = o3d.t.geometry.PointCloud.from_legacy(geometry, o3d.core.float64)
+            if geometry.has_colors():
+                cloud.point.colors = o3d.core.Tensor.from_numpy(_eight_bits(geometry.colors))
+            if confidence is not None:
+                cloud.point.confidence = o3d.core.Tensor.from_numpy(confidence[:, None])
+            done = o3d.t.io.write_point_cloud(temporary, cloud)
+        else:
+            done = o3d.io.write_voxel_grid(temporary, geometry)
+        if not done:
+            raise OSError(f"{path}: Open3D could not write the {type(geometry).__name__}")
+    return path
+
+
+def read_geometry(path: Path | str) -> Geometry:
+    """Read a mesh, a point cloud or a voxel grid; a PLY's header says which it is.
+
+    Raises
+    ------
+    DataError : missing, unreadable or empty.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise DataError(f"{path}: no such file")
+    header = _ply_header(path) if path.suffix.lower() == ".ply" else ""
+    geometry: Geometry
+    if "element voxel_size" in header:
+        geometry = o3d.io.read_voxel_grid(path)
+        empty = not geometry.has_voxels()
+    elif "element vertex" in header and "element face" not in header:
+        geometry = o3d.io.read_point_cloud(path)
+        empty = not geometry.has_points()
+    else:
+        geometry = o3d.io.read_triangle_mesh(path)
+        empty = not geometry.has_triangles()
+    if empty:
+        raise DataError(f"{path}: expected a mesh, point cloud or voxel grid, got nothing that Open3D can read")
+    return geometry
+
+
+def read_support(path: Path | str) -> NDArray[np.int64] | None:
+    """(n_vertices,) how many views see each vertex of a mesh that was written as PLY; None where the file has none.
+
+    Raises
+    ------
+    DataError : missing, cut short, or written by another program.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise DataError(f"{path}: no such file")
+    header = _ply_header(path)
+    lines = [line.split() for line in header.partition("element vertex ")[2].partition("element ")[0].splitlines()]
+    properties = [(line[2], line[1]) for line in lines[1:] if line[0] == "property"]
+    if "support" not in dict(properties):
+        return None
+    if "binary_little_endian" not in header or not {kind for _, kind in properties} <= set(_PLY_TYPES):
+        raise DataError(f"{path}: expected a PLY file as write_geometry writes it, got another program's")
+    row = np.dtype([(name, _PLY_TYPES[kind]) for name, kind in properties])
+    vertices = np.fromfile(path, row, int(lines[0][0]), offset=len(header) + len("end_header\n"))
+    if len(vertices) < int(lines[0][0]):
+        raise DataError(f"{path}: expected {lines[0][0]} vertices, got {len(vertices)}")
+    return vertices["support"].astype(np.int64)
+
+
+def read_mesh(path: Path | str) -> o3d.geometry.TriangleMesh:
+    """Read a triangle mesh.
+
+    Raises
+    ------
+    DataError : missing, unreadable, empty or not a mesh.
+    """
+    geometry = read_geometry(path)
+    if not isinstance(geometry, o3d.geometry.TriangleMesh):
+        raise DataError(f"{path}: expected a triangle mesh, got a {type(geometry).__name__}")
+    return geometry
+
+
+def _write_ply(path: Path, mesh: o3d.geometry.TriangleMesh, support: NDArray[np.int64] | None) -> bool:
+    """Write as Open3D does, binary, in double precision; it would leave out what it does not know, the support."""
+    columns: list[tuple[str, str, NDArray[Any]]] = []  # name, type in PLY, values
+
+    def add(names: str, kind: str, values: NDArray[Any]) -> None:
+        columns.extend((name, kind, values[:, n]) for n, name in enumerate(names.split()))
+
+    add("x y z", "double", np.asarray(mesh.vertices))
+    if mesh.has_vertex_normals():
+        add("nx ny nz", "double", np.asarray(mesh.vertex_normals))
+    if mesh.has_vertex_colors():
+        add("red green blue", "uchar", _eight_bits(mesh.vertex_colors))
+    if support is not None:
+        add("support", "int", support[:, None])
+    vertices = np.empty(len(mesh.vertices), [(name, _PLY_TYPES[kind]) for name, kind, _ in columns])
+    for name, _, values in columns:
+        vertices[name] = values
+    faces = np.empty(len(mesh.triangles), [("count", "u1"), ("corners", "<i4", 3)])
+    faces["count"], faces["corners"] = 3, np.asarray(mesh.triangles)
+    properties = "".join(f"property {kind} {name}\n" for name, kind, _ in columns)
+    header = (
+        f"ply\nformat binary_little_endian 1.0\nelement vertex {len(vertices)}\n{properties}"
+        f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+    path.write_bytes(header.encode("ascii") + vertices.tobytes() + faces.tobytes())
+    return len(vertices) > 0
+
+
+def _eight_bits(colors: o3d.utility.Vector3dVector) -> NDArray[np.uint8]:
+    """(n, 3) colours, 0 to 255."""
+    return np.asarray(np.rint(255 * np.clip(np.asarray(colors), 0, 1)), np.uint8)
+
+
+def _to_trimesh(mesh: o3d.geometry.TriangleMesh) -> trimesh.Trimesh:
+    """The same mesh, vertex by vertex, with 8-bit colours."""
+    return trimesh.Trimesh(
+        np.asarray(mesh.vertices),
+        np.asarray(mesh.triangles),
+        vertex_normals=np.asarray(mesh.vertex_normals) if mesh.has_vertex_normals() else None,
+        vertex_colors=_eight_bits(mesh.vertex_colors) if mesh.has_vertex_colors() else None,
+        process=False,
+    )
+
+
+def _ply_header(path: Path) -> str:
+    """Text of a PLY file up to the end of its header."""
+    with path.open("rb") as file:
+        return file.read(4096).split(b"end_header")[0].decode("ascii", "replace")

@@ -1,0 +1,103 @@
+"""Pictures of a mesh by ray casting: no display, GL or GPU."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import open3d as o3d
+from numpy.typing import NDArray
+
+from recon3d.rendering.ray_caster import RayCaster
+from recon3d.scene.view import View
+
+
+@dataclass(frozen=True)
+class Rendering:
+    """What a camera sees of a mesh, pixel by pixel."""
+
+    hit: NDArray[np.bool_]
+    """(height, width) pixels that show the mesh."""
+    depth: NDArray[np.float64]
+    """(height, width) distance along the optical axis, world units; infinite beside the mesh."""
+    normals: NDArray[np.float64]
+    """(height, width, 3) unit normals in the world, towards the camera; zero beside the mesh."""
+    colors: NDArray[np.float64]
+    """(height, width, 3) vertex colours in [0, 1], interpolated; zero beside the mesh."""
+    shading: NDArray[np.float64]
+    """(height, width) cosine between normal and line of sight, in [0, 1]."""
+
+    def picture(self, mode: str = "colored") -> NDArray[np.uint8]:
+        """RGB picture (height, width, 3) on white: "colored", "shaded", "normals" or "depth" (near is bright)."""
+        if mode == "colored":
+            content = self.colors
+        elif mode == "shaded":
+            content = np.repeat(0.15 + 0.75 * self.shading[..., None], 3, axis=2)
+        elif mode == "normals":
+            content = 0.5 + 0.5 * self.normals
+        elif mode == "depth":
+            near, far = (self.depth[self.hit].min(), self.depth[self.hit].max()) if self.hit.any() else (0.0, 1.0)
+            with np.errstate(invalid="ignore"):
+                nearness = 1 - 0.85 * (self.depth - near) / max(far - near, 1e-12)
+            content = np.repeat(nearness[..., None], 3, axis=2)
+        else:
+            raise ValueError(f"expected mode {', '.join(MODES)}, got {mode!r}")
+        content = np.where(self.hit[..., None], content, 1.0)
+        return np.rint(255 * np.clip(content, 0, 1)).astype(np.uint8)
+
+    def pictures(self) -> dict[str, NDArray[np.uint8]]:
+        """The picture of every mode."""
+        return {mode: self.picture(mode) for mode in MODES}
+
+
+MODES = ("colored", "shaded", "normals", "depth")
+
+
+class Renderer:
+    """Casts rays at one mesh from as many cameras as wanted."""
+
+    def __init__(self, mesh: o3d.geometry.TriangleMesh) -> None:
+        if not mesh.has_triangles():
+            raise ValueError("the mesh to render has no triangles")
+        if not mesh.has_vertex_normals():
+            mesh = o3d.geometry.TriangleMesh(mesh)
+            mesh.compute_vertex_normals()
+        self.mesh = mesh
+        self._triangles = np.asarray(mesh.triangles)
+        self._normals = np.asarray(mesh.vertex_normals)
+        self._colors = np.asarray(mesh.vertex_colors) if mesh.has_vertex_colors() else np.full_like(self._normals, 0.7)
+        self._caster = RayCaster(mesh)
+
+    def render(self, K: NDArray[np.float64], cam_from_world: NDArray[np.float64], width: int, height: int) -> Rendering:
+        """View of a camera with the full K (skew too), pixel centres at integers."""
+        origin, directions = pixel_rays(K, cam_from_world, width, height)
+        depth, triangle, uv = self._caster.first_hits(origin, directions)
+        hit = np.isfinite(depth)
+        corners, uv = self._triangles[triangle[hit]], uv[hit]
+        weights = np.column_stack([1 - uv.sum(axis=1), uv])
+
+        def interpolated(values: NDArray[np.float64]) -> NDArray[np.float64]:
+            image = np.zeros((height, width, 3))
+            image[hit] = np.einsum("nc,ncd->nd", weights, values[corners])
+            return image
+
+        normals = interpolated(self._normals)
+        normals /= np.maximum(np.linalg.norm(normals, axis=2, keepdims=True), 1e-12)
+        sight = directions / np.linalg.norm(directions, axis=2, keepdims=True)
+        cosine = -(normals * sight).sum(axis=2)
+        normals *= np.where(cosine < 0, -1.0, 1.0)[..., None]
+        return Rendering(hit, depth, normals, np.clip(interpolated(self._colors), 0, 1), np.abs(cosine))
+
+    def render_view(self, view: View) -> Rendering:
+        """View from an input camera."""
+        return self.render(view.K, view.cam_from_world, view.width, view.height)
+
+
+def pixel_rays(
+    K: NDArray[np.float64], cam_from_world: NDArray[np.float64], width: int, height: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Camera centre (3,) and ray directions (height, width, 3) of depth one, in the world, through pixel centres."""
+    u, v = np.meshgrid(np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64))
+    world_from_pixel = cam_from_world[:3, :3].T @ np.linalg.inv(K)
+    center = -cam_from_world[:3, :3].T @ cam_from_world[:3, 3]
+    return center, np.stack([u, v, np.ones_like(u)], axis=-1) @ world_from_pixel.T

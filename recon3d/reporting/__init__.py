@@ -1,0 +1,8 @@
+"""What a run leaves for people to see: plots, pictures, pages."""
+
+from recon3d.reporting.error_map import error_map
+from recon3d.reporting.figures import plot_evaluation, save_evaluation, show_mesh
+from recon3d.reporting.pictures import save_error_maps, save_pictures
+from recon3d.reporting.saving import save
+
+__all__ = ["error_map", "plot_evaluation", "save", "save_error_maps", "save_evaluation", "save_pictures", "show_mesh"]

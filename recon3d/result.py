@@ -1,0 +1,102 @@
+"""What a finished run holds."""
+
+from __future__ import annotations
+
+import platform
+from dataclasses import dataclass
+from importlib.metadata import version
+from typing import Any
+
+import numpy as np
+import open3d as o3d
+from numpy.typing import NDArray
+
+from recon3d._version import __version__
+from recon3d.evaluation.distances import Evaluation
+from recon3d.evaluation.photographs import Quality
+from recon3d.rendering.renderer import Renderer
+from recon3d.rendering.sheets import turntable
+from recon3d.scene.scene import Scene
+from recon3d.settings import Settings
+from recon3d.summary import Summarised
+from recon3d.surface.repair import Mending
+from recon3d.volume.carved import PhotoHull
+
+
+@dataclass(frozen=True, repr=False)
+class Reconstruction(Summarised):
+    """A finished run: what went in, what came out, and how long it took."""
+
+    scene: Scene
+    """With the views that were used."""
+    settings: Settings
+    hull: PhotoHull
+    """What carving left; of a sharp result, after the depths found carved it once more."""
+    points: o3d.geometry.PointCloud
+    """Coloured, with outward normals: the centres of the surface voxels, or the points that dense matching found."""
+    confidence: NDArray[np.float64] | None
+    """(n_points,) of matched points, in (0, 1); None of voxels."""
+    mesh: o3d.geometry.TriangleMesh
+    """Smooth, coloured from the views; closed, but for rims that ``quality`` counts, unless what is unsupported was
+    left out."""
+    support: NDArray[np.int64]
+    """(n_vertices,) how many views see each vertex of the mesh; of a sharp mesh 0 where no point lies near it. Where
+    it is 0, the hull closes the mesh."""
+    mending: Mending
+    """What was wrong with the mesh before."""
+    timings: dict[str, float]
+    """Seconds of each step."""
+    quality: Quality
+    """Of the mesh, by the photographs that it was made of."""
+    evaluation: Evaluation | None = None
+    """Of the mesh, where a ground truth was given."""
+
+    def record(self) -> dict[str, Any]:
+        """Every parameter, version, timing and figure of the run, for a JSON file."""
+        volume = self.hull.volume
+        return {
+            "recon3d": __version__,
+            "versions": {
+                "python": platform.python_version(),
+                **{name: version(name) for name in ("numpy", "numba", "scipy", "opencv-python-headless")},
+                "open3d": o3d.__version__,
+            },
+            "scene": {
+                "name": self.scene.name,
+                "views": [view.name for view in self.scene.views],
+                "bounds": [list(self.scene.bounds.min_bound), list(self.scene.bounds.max_bound)],
+                "mm_per_unit": self.scene.mm_per_unit,
+                **self.scene.notes,
+            },
+            "settings": self.settings.record(),
+            "volume": {"shape": list(volume.shape), "voxel_size": volume.voxel_size, "origin": list(volume.origin)},
+            "voxels": self.hull.counts(),
+            "mesh": {
+                "vertices": len(self.mesh.vertices),
+                "triangles": len(self.mesh.triangles),
+                "support": np.bincount(self.support).tolist(),
+                **self.mending.record(),
+            },
+            "timings_s": self.timings,
+            "quality": self.quality.record(),
+            "evaluation": self.evaluation.record() if self.evaluation else None,
+        }
+
+    def summary(self) -> dict[str, object]:
+        """Table of the run."""
+        volume = self.hull.volume
+        mm = volume.voxel_size * self.scene.mm_per_unit
+        supported = float((self.support > 0).mean())
+        return {
+            "scene": f"{self.scene.name}, {len(self.scene.views)} views",
+            "voxels": f"{volume.occupied.size:,} of {mm:.3g} mm, {volume.n_occupied:,} accepted",
+            "mesh": f"{len(self.mesh.triangles):,} triangles, {supported:.0%} of them measured, the rest the hull's",
+            **({"mended": str(self.mending)} if str(self.mending) else {}),
+            "time": ", ".join(f"{name} {seconds:.2f} s" for name, seconds in self.timings.items()),
+            **self.quality.summary(),
+            **(self.evaluation.summary() if self.evaluation else {}),
+        }
+
+    def picture(self) -> NDArray[np.uint8]:
+        """The mesh from four sides."""
+        return turntable(self.scene, Renderer(self.mesh), frames=4, size=200)

@@ -1,0 +1,35 @@
+"""Which views see about the same of the object."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from recon3d.errors import SceneError
+from recon3d.scene.scene import Scene
+
+_NEAREST_ANGLE, _FARTHEST_ANGLE = 5.0, 60.0  # degrees between viewing directions that can be matched
+
+
+def matching_neighbours(scene: Scene, most: int = 4) -> list[list[int]]:
+    """For each view at most so many others, the nearest first, seen from the bounds' centre 5 to 60 degrees from it.
+
+    Views less than 5 degrees apart count as one.
+
+    Raises
+    ------
+    SceneError : no view has such a neighbour.
+    """
+    directions = scene.centers - np.asarray(scene.bounds.get_center())
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    angles = np.degrees(np.arccos(np.clip(directions @ directions.T, -1, 1)))
+    chosen: list[list[int]] = []
+    for row in angles:
+        others: list[int] = []
+        for other in np.argsort(row, kind="stable"):
+            apart = all(angles[other, known] >= _NEAREST_ANGLE for known in others)
+            if _NEAREST_ANGLE <= row[other] <= _FARTHEST_ANGLE and apart and len(others) < most:
+                others.append(int(other))
+        chosen.append(others)
+    if not any(chosen):
+        raise SceneError(f"scene {scene.name}: no two views lie 5 to 60 degrees apart, so none can be matched")
+    return chosen

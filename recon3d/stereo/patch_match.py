@@ -1,0 +1,199 @@
+"""Dense matching inside the carved hull: for every view a plane at every few pixels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import cv2
+import numpy as np
+import open3d as o3d
+from numpy.typing import NDArray
+
+from recon3d.carving.depth_votes import MIN_DEVIATION
+from recon3d.kernels.planes import NOTHING, find_visible, match_planes
+from recon3d.rendering.renderer import Renderer
+from recon3d.scene.neighbours import matching_neighbours
+from recon3d.scene.scene import Scene
+
+_MOST_NEIGHBOURS = 32  # bits of a pixel's visibility
+
+
+_TOLERANCE = 6.0  # pixel footprints by which the carved surface may miss in depth when visibility is asked
+
+
+_MIN_COSINE = 0.15  # between a surface's normal and a line of sight along which it can be matched
+
+
+_TRIALS = 2  # random planes a pixel and half sweep
+
+
+_FIRST_RANGE = 4.0  # pixel footprints that the first random trials change a depth by
+
+
+_SHRINKING = 0.4  # of the range from round to round
+
+
+_SLOPE = 0.3  # change of slope, in changes of depth a pixel
+
+
+@dataclass(frozen=True)
+class Matching:
+    """How windows are matched; lengths are in pixels, or in pixel footprints at the object."""
+
+    stride: int = 2
+    """Pixels between matched pixels."""
+    radius: int = 5
+    """Of the windows, pixels."""
+    spacing: int = 2
+    """Between compared pixels of a window."""
+    contrast: float = 20.0
+    """Grey levels of difference to a window's centre over which a pixel's weight falls to 1/e."""
+    rounds: int = 2
+    """Sweeps over each view."""
+    reach: float = 10.0
+    """How far before and behind the hull a depth may lie, pixel footprints."""
+    cavities: float = 0.0
+    """How far behind the hull it may lie besides, as a fraction of the bounds' shortest side."""
+    neighbours: int = 6
+    """Views that a view may be compared with."""
+    compared: int = 4
+    """Of those that see a pixel's surface, the nearest so many are compared; the two best count."""
+    max_cost: float = 0.6
+    """Largest 1 - NCC of a match."""
+
+    def __post_init__(self) -> None:
+        whole = {
+            name: getattr(self, name) for name in ("stride", "radius", "spacing", "rounds", "neighbours", "compared")
+        }
+        wrong = [
+            f"{name}={value}" for name, value in whole.items() if not isinstance(value, int | np.integer) or value < 1
+        ]
+        if wrong:
+            raise ValueError(f"expected whole numbers of at least 1, got {', '.join(wrong)}")
+        if self.radius < self.spacing:
+            raise ValueError(f"expected a radius of at least the spacing, got {self.radius} and {self.spacing}")
+        if self.neighbours > _MOST_NEIGHBOURS:
+            raise ValueError(f"expected at most {_MOST_NEIGHBOURS} neighbours, got {self.neighbours}")
+        lengths = 0 < self.reach < np.inf and 0 <= self.cavities < np.inf
+        if not (self.contrast > 0 and lengths and 0 < self.max_cost <= 1):
+            raise ValueError(
+                "expected contrast > 0, finite reach > 0 and cavities >= 0, and max_cost in (0, 1], "
+                f"got {self.contrast}, {self.reach}, {self.cavities} and {self.max_cost}"
+            )
+
+
+@dataclass(frozen=True)
+class DepthMap:
+    """What a view's pixels were found to show."""
+
+    planes: NDArray[np.float32]
+    """(rows, columns, 3) inverse depth along the optical axis and its slopes along u and v; zero beside the hull.
+
+    Row r and column c belong to the pixel (u, v) = (c, r) times the stride.
+    """
+    costs: NDArray[np.float32]
+    """(rows, columns) 1 - NCC in [0, 2], mean of the two best views; ``NOTHING`` where there is no match."""
+
+
+class Matcher:
+    """A scene and its carved surface, ready to be matched view by view.
+
+    The carved surface starts each pixel off with a depth and a normal, bounds the search, and says which views see it.
+    """
+
+    def __init__(self, scene: Scene, surface: o3d.geometry.TriangleMesh, matching: Matching) -> None:
+        self.scene, self.matching = scene, matching
+        self.views = scene.packed
+        self.neighbours = matching_neighbours(scene, matching.neighbours)
+        self._surface = surface
+
+    @cached_property
+    def _grey(self) -> NDArray[np.float32]:
+        """(n_views, height, width) luminance, 0 to 255."""
+        return np.stack([cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) for image in self.views.images]).astype(np.float32)
+
+    @cached_property
+    def _guides(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Of every view, depths (n_views, height, width), 0 beside the surface, and world normals at strided pixels."""
+        depths, stride = np.zeros(self.views.foreground.shape, np.float32), self.matching.stride
+        normals = np.zeros((*depths[:, ::stride, ::stride].shape, 3), np.float32)
+        renderer = Renderer(self._surface)
+        for n, view in enumerate(self.scene.views):
+            rendering = renderer.render_view(view)
+            depths[n, : view.height, : view.width] = np.where(rendering.hit, rendering.depth, 0)
+            strided = rendering.normals[::stride, ::stride]
+            normals[n, : strided.shape[0], : strided.shape[1]] = strided
+        return depths, normals
+
+    def depth_map(self, n: int) -> DepthMap:
+        """Match view n.
+
+        References
+        ----------
+        Bleyer, Rhemann, Rother, "PatchMatch stereo: stereo matching with slanted support windows", BMVC 2011.
+        Galliani, Lasinger, Schindler, "Massively parallel multiview stereopsis by surface normal diffusion", ICCV 2015
+        (red-black propagation).
+        """
+        matching, views, others = self.matching, self.views, self.neighbours[n]
+        depths, normals = self._guides
+        stride, footprint = matching.stride, self.scene.pixel_footprint
+        start = depths[n, ::stride, ::stride]
+        planes = self._first_planes(n)
+        costs = np.full(start.shape, NOTHING, np.float32)
+        if not others or not start.any():
+            return DepthMap(planes, costs)
+        visible = np.zeros(start.shape, np.uint32)
+        find_visible(
+            depths[n], normals[n], views.centers[n], views.world_from_pixel[n], views.projections[others],
+            views.centers[others], views.sizes[others], depths[others], stride, _TOLERANCE * footprint, _MIN_COSINE,
+            visible,
+        )  # fmt: skip
+        P = views.projections[others]
+        reach = np.float32(matching.reach * footprint)
+        behind = reach + np.float32(matching.cavities * min(self.scene.bounds.get_extent()))
+        nearest, farthest = np.maximum(start - reach, reach), start + behind
+        for sweep in range(2 * matching.rounds):
+            ranges = self._ranges(float(np.median(start[start > 0])), sweep // 2)
+            match_planes(
+                self._grey[n], *views.sizes[n], self._grey[others], views.sizes[others],
+                P[:, :, :3] @ views.world_from_pixel[n], P[:, :, :3] @ views.centers[n] + P[:, :, 3], visible,
+                nearest, farthest, stride, matching.radius, matching.spacing, matching.contrast, MIN_DEVIATION,
+                matching.compared, ranges, sweep % 2, sweep, planes, costs,
+            )  # fmt: skip
+        return DepthMap(planes, costs)
+
+    def _ranges(self, depth: float, sweep: int) -> NDArray[np.float64]:
+        """(n_trials, 2) largest changes of inverse depth and slope in a sweep's random trials; infinite: any depth."""
+        change = _FIRST_RANGE * _SHRINKING**sweep * 0.5 ** np.arange(_TRIALS) * self.scene.pixel_footprint / depth**2
+        anywhere = [[np.inf, change[0]]] if self.matching.cavities and not sweep else np.empty((0, 2))
+        return np.concatenate([anywhere, np.column_stack([change, _SLOPE * change])])
+
+    def _first_planes(self, n: int) -> NDArray[np.float32]:
+        """(rows, columns, 3) planes of the carved surface at every strided pixel."""
+        depths, normals = self._guides
+        view, stride = self.scene.views[n], self.matching.stride
+        depth = depths[n, ::stride, ::stride].astype(np.float64)
+        # On the plane m . X = m . X0 of the camera's frame, 1 / z = m . K^-1 (u, v, 1) / (m . X0).
+        m = normals[n] @ view.cam_from_world[:3, :3].T @ np.linalg.inv(view.K)
+        rows, columns = np.mgrid[: depth.shape[0], : depth.shape[1]] * stride
+        facing = m[..., 0] * columns + m[..., 1] * rows + m[..., 2]
+        facing = np.minimum(facing, -_MIN_COSINE)  # normals face the camera; a grazing plane is turned towards it
+        hit = depth > 0
+        inverse = np.divide(1.0, depth, out=np.zeros_like(depth), where=hit)
+        slopes = m[..., :2] * (inverse / facing)[..., None]
+        return np.concatenate([inverse[..., None], np.where(hit[..., None], slopes, 0)], axis=-1).astype(np.float32)
+
+
+def plane_normals(scene: Scene, planes: NDArray[np.float32], stride: int) -> NDArray[np.float32]:
+    """(n_views, rows, columns, 3) unit world normals, towards the camera, of planes of all views; zero where none."""
+    normals = np.zeros(planes.shape, np.float32)
+    for n, view in enumerate(scene.views):
+        w, along_u, along_v = np.moveaxis(planes[n], -1, 0).astype(np.float64)
+        rows, columns = np.mgrid[: w.shape[0], : w.shape[1]] * stride
+        # 1 / z = (a, b, c) . (u, v, 1) is the plane (K^T (a, b, c)) . X = 1.
+        plane = np.stack([along_u, along_v, w - along_u * columns - along_v * rows], axis=-1)
+        toward = -(plane @ view.K @ view.cam_from_world[:3, :3])
+        length = np.linalg.norm(toward, axis=-1, keepdims=True)
+        normals[n] = np.divide(toward, length, out=np.zeros_like(toward), where=length > 0)
+    return normals

@@ -1,0 +1,230 @@
+"""One photo-consistency test at a time under conditions that are the same for all."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+import open3d as o3d
+from numpy.typing import NDArray
+
+from recon3d._version import __version__
+from recon3d.carving import METHODS
+from recon3d.carving.visibility import spread_views
+from recon3d.consistency.base import ConsistencyTest
+from recon3d.errors import EmptyReconstructionError
+from recon3d.evaluation.distances import Evaluation, evaluate
+from recon3d.evaluation.photographs import measure_quality
+from recon3d.io.checkpoints import code_fingerprint
+from recon3d.pipeline import Progress, reconstruct
+from recon3d.rendering.renderer import Renderer
+from recon3d.rendering.sheets import portrait
+from recon3d.result import Reconstruction
+from recon3d.scene.scene import Scene
+from recon3d.scene.view import View
+from recon3d.settings import Settings, choose_views
+from recon3d.study.memory import peak_memory
+from recon3d.study.variants import Contestant
+from recon3d.summary import labelled_row
+from recon3d.volume.dense import CarvingVolume
+
+PICTURE_WIDTH = 200
+"""Pixels of each picture on a contact sheet."""
+
+
+_SHOWN = 4  # cameras on the contact sheet
+
+
+_WARM_UP_VOXELS = 1000
+
+
+@dataclass(frozen=True)
+class Trial:
+    """Figures of one test; None where nothing was left, or nothing was known to measure against."""
+
+    label: str
+    family: str
+    """Label without the swept parameter."""
+    value: float | None
+    """Of the swept parameter; None where the test is not swept."""
+    accepted: int
+    """Voxels."""
+    carving_s: float
+    """Seconds of carving, everything compiled and loaded before."""
+    memory_mib: float | None
+    """What the whole run, carving and meshing, adds to the process at its highest (``peak_memory``)."""
+    holes: int | None = None
+    """Handles through the closed pieces of the mesh, and rims of its open ones."""
+    floating: int | None = None
+    """Pieces beside the largest, with the specks that the mesh goes without."""
+    roughness_degrees: float | None = None
+    """Mean angle between neighbouring triangles; see ``ShapeQuality.dihedral_degrees``."""
+    median_error: float | None = None
+    """Of re-projection, grey levels; see ``Reprojection``."""
+    mean_error: float | None = None
+    rms_error: float | None = None
+    overlap_percent: float | None = None
+    """Silhouettes, intersection over union."""
+    accuracy_mm: float | None = None
+    completeness_percent: float | None = None
+    precision_percent: float | None = None
+    """Share of the mesh within the completeness' threshold of the ground truth."""
+
+
+@dataclass(frozen=True)
+class Contest:
+    """What is the same for all tests."""
+
+    used: Scene
+    left_out: tuple[View, ...]
+    shown: Scene
+    """Views of the contact sheet."""
+    settings: Settings
+    """Resolved, but for the test."""
+    voxels: int
+    """Of the volume."""
+    ground_truth: o3d.geometry.TriangleMesh | o3d.geometry.PointCloud | None
+    options: Mapping[str, Any]
+    """Of ``evaluate``."""
+
+    def run(self, entry: Contestant, progress: Progress) -> tuple[Trial, NDArray[np.uint8]]:
+        """Figures of a test, and its row of the contact sheet."""
+        settings = replace(self.settings, test=entry.test)
+        try:
+            self._warm_up(settings)
+            start = perf_counter()
+            with peak_memory() as peak:
+                result = reconstruct(self.used, settings, progress=progress)
+        except EmptyReconstructionError:
+            trial = Trial(entry.label, entry.family, entry.value, 0, round(perf_counter() - start, 3), peak.mib)
+            blank = [np.full((1, PICTURE_WIDTH, 3), 255, np.uint8)] * len(self.shown.views)
+            return trial, labelled_row(f"{entry.label}: nothing left", blank, width=PICTURE_WIDTH)
+        except ValueError as error:
+            raise ValueError(f"{entry.label}: {str(error).removeprefix(f'{entry.family}: ')}") from error
+        renderer = Renderer(result.mesh)
+        row = self.row(entry.label, [renderer.render_view(view).picture() for view in self.shown.views])
+        return self._measured(entry, result, peak.mib), row
+
+    def row(self, label: str, pictures: Sequence[NDArray[np.uint8]]) -> NDArray[np.uint8]:
+        """A row of the contact sheet: a picture from each camera, of the object alone."""
+        views = self.shown.views
+        cut = [portrait(picture, view, self.used) for picture, view in zip(pictures, views, strict=True)]
+        return labelled_row(label, cut, width=PICTURE_WIDTH)
+
+    def _warm_up(self, settings: Settings) -> None:
+        """Let a test and what carves with it be compiled and loaded."""
+        small = CarvingVolume.enclosing(self.used.bounds, n_voxels=_WARM_UP_VOXELS)
+        with suppress(EmptyReconstructionError):
+            METHODS[settings.method].carve(self.used, small, settings.test, **settings.method_options)
+
+    def _measured(self, entry: Contestant, result: Reconstruction, memory_mib: float | None) -> Trial:
+        """Figures of a reconstruction."""
+        quality = result.quality
+        if self.left_out:
+            quality = measure_quality(result.mesh, replace(self.used, views=self.left_out))
+        photographs, shape = quality.overall, quality.shape
+        trial = Trial(
+            entry.label,
+            entry.family,
+            entry.value,
+            result.hull.volume.n_occupied,
+            result.timings["carving"],
+            memory_mib,
+            holes=shape.boundary_loops + (shape.genus or 0),
+            floating=shape.components - 1 + result.mending.specks,
+            roughness_degrees=shape.dihedral_degrees,
+            median_error=photographs.median,
+            mean_error=photographs.mean,
+            rms_error=photographs.rms,
+            overlap_percent=None if photographs.overlap is None else 100 * photographs.overlap,
+        )
+        if self.ground_truth is None:
+            return trial
+        figures = evaluate(result.mesh, self.ground_truth, mm_per_unit=self.used.mm_per_unit, **self.options)
+        return replace(
+            trial,
+            accuracy_mm=figures.accuracy_mm,
+            completeness_percent=figures.completeness_percent,
+            precision_percent=figures.precision_percent,
+        )
+
+    def record(self) -> dict[str, Any]:
+        """The conditions for a JSON file."""
+        plain = {name: value for name, value in self.settings.record().items() if name not in ("test", "views")}
+        return {
+            "recon3d": __version__,
+            "scene": self.used.name,
+            "source": self.used.notes.get("source"),
+            "settings": plain,
+            "voxels": self.voxels,
+            "views": [view.name for view in self.used.views],
+            "left_out": [view.name for view in self.left_out],
+            "evaluation": None
+            if self.ground_truth is None
+            else {
+                name: self.options.get(name, getattr(Evaluation, name))
+                for name in ("accuracy_percent", "completeness_threshold_mm")
+            },
+        }
+
+    def fingerprint(self) -> str:
+        """Text that two contests share only where every test would find the same in both."""
+        digest = hashlib.sha256(json.dumps(self.record(), sort_keys=True, default=str).encode())
+        digest.update(code_fingerprint().encode())
+        for views in filter(None, (self.used.views, self.left_out, self.shown.views)):
+            digest.update(replace(self.used, views=views).fingerprint().encode())
+        truth: Any = self.ground_truth
+        shape = [getattr(truth, name) for name in ("vertices", "triangles", "points") if hasattr(truth, name)]
+        options = [part for item in sorted(self.options.items()) if item[1] is not None for part in item]
+        for part in (*shape, *options):
+            digest.update(np.asarray(part).tobytes())
+        return digest.hexdigest()
+
+
+def make_contest(
+    scene: Scene,
+    settings: Settings | None,
+    test: ConsistencyTest,
+    leave_out: int | Sequence[str],
+    ground_truth: o3d.geometry.TriangleMesh | o3d.geometry.PointCloud | None,
+    options: Mapping[str, Any],
+) -> Contest:
+    """Choose the views, and refuse what cannot be compared."""
+    settings = settings or Settings(method="voxel-coloring")
+    if settings.test is not None:
+        raise ValueError(f"expected settings without a test, since tests are compared, got {settings.test!r}")
+    if options and ground_truth is None:
+        raise ValueError(f"expected a ground truth for {', '.join(options)}")
+    resolved = replace(settings, test=test).resolved(scene)
+    admitted = choose_views(scene, replace(resolved, max_views=None))
+    left_out = _left_out(scene, admitted, leave_out)
+    names = [view.name for view in left_out]
+    rest = tuple(view for view in admitted.views if view.name not in names)
+    if not rest:
+        raise ValueError(f"expected views to be left for the tests, got all of {', '.join(names)} left out")
+    used = spread_views(replace(admitted, views=rest), resolved.max_views or len(rest))
+    chosen = np.unique(np.linspace(0, len(admitted.views) - 1, min(_SHOWN, len(admitted.views))).round().astype(int))
+    return Contest(
+        used,
+        left_out,
+        replace(admitted, views=tuple(admitted.views[n] for n in chosen)),
+        replace(resolved, test=None, views="all", max_views=None),
+        CarvingVolume.enclosing(scene.bounds, voxel_size=resolved.voxel_size, n_voxels=resolved.n_voxels).occupied.size,
+        ground_truth,
+        options,
+    )
+
+
+def _left_out(scene: Scene, admitted: Scene, leave_out: int | Sequence[str]) -> tuple[View, ...]:
+    """Views that no test is to see."""
+    if not isinstance(leave_out, int):
+        return scene.subset(leave_out).views
+    if leave_out < 0 or leave_out == 1:
+        raise ValueError(f"expected to leave out every view of 2 or more, 0 (none) or names, got {leave_out}")
+    return admitted.views[leave_out - 1 :: leave_out] if leave_out else ()
