@@ -40,7 +40,7 @@ same_for_all = {
 # needs no ground truth. An error counts only where there is something to see, so read it with the overlap.
 
 # %%
-comparison = recon3d.compare(scene, ["fuzzy", "adaptive", "colour-caching", "ncc"], **same_for_all)
+comparison = recon3d.compare(scene, ["fuzzy", "adaptive", "color-caching", "ncc"], **same_for_all)
 comparison
 
 # %% [markdown]

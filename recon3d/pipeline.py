@@ -17,17 +17,17 @@ from recon3d.carving import METHODS
 from recon3d.errors import EmptyReconstructionError
 from recon3d.evaluation.distances import evaluate
 from recon3d.evaluation.photographs import measure_quality
-from recon3d.io.checkpoints import StageFolder, code_fingerprint
+from recon3d.io.checkpoints import Checkpoints, code_fingerprint
 from recon3d.result import Reconstruction
 from recon3d.scene.scene import Scene
 from recon3d.settings import Settings, choose_views
-from recon3d.stereo.refinement import Stages, sharpen_hull
+from recon3d.stereo.refinement import Stages, refine
 from recon3d.surface.extraction import mesh_shape, surface_points
 from recon3d.surface.poisson import mesh_points, near_points
-from recon3d.surface.repair import drop_specks, mend_mesh
+from recon3d.surface.repair import drop_small_components, repair_mesh
 from recon3d.surface.vertex_colors import color_from_views
 from recon3d.surface.visibility import keep_vertices, without_unseen
-from recon3d.volume.carved import PhotoHull
+from recon3d.volume.carved import CarvedVolume
 from recon3d.volume.dense import CarvingVolume
 
 _SPACING = 1.5  # of a sharp surface's finest detail, pixel footprints
@@ -50,7 +50,7 @@ def reconstruct(
     Parameters
     ----------
     stages : what an interrupted run finished is taken from here, and what this one finishes is put here; of the same
-        scene and settings, see ``recon3d.io.StageFolder``.
+        scene and settings, see ``recon3d.io.Checkpoints``.
 
     Raises
     ------
@@ -68,9 +68,9 @@ def reconstruct(
         volume = CarvingVolume.enclosing(scene.bounds, voxel_size=settings.voxel_size, n_voxels=settings.n_voxels)
         hull = carve(scene, volume, settings, stages, progress=lambda done, total: report("carving", done, total))
     sharp = None
-    if settings.quality == "sharp":
+    if settings.quality == "dense":
         with _timed(timings, "matching"):
-            sharp, hull = sharpen_hull(
+            sharp, hull = refine(
                 scene, hull, stages=stages, progress=lambda done, total: report("matching", done, total)
             )
     with _timed(timings, "surface"):
@@ -81,19 +81,19 @@ def reconstruct(
         else:
             mesh = _carved_mesh(hull, settings)
         report("surface", 1, 3)
-        mesh, specks = drop_specks(mesh, settings.min_piece * volume.voxel_size**2)
+        mesh, small_components = drop_small_components(mesh, settings.min_component * volume.voxel_size**2)
         if not settings.keep_unsupported:
             mesh = without_unseen(mesh, scene)
             if sharp:
                 mesh = keep_vertices(mesh, near_points(np.asarray(mesh.vertices), sharp, spacing))
                 if not mesh.has_triangles():
                     raise EmptyReconstructionError(f"scene {scene.name}: no point lies near any of the surface")
-        mesh, mending = mend_mesh(mesh)
+        mesh, repairs = repair_mesh(mesh)
         report("surface", 2, 3)
         mesh, support = color_from_views(mesh, scene)
         if sharp:
             support[~near_points(np.asarray(mesh.vertices), sharp, spacing)] = 0
-        points = sharp.to_legacy() if sharp else surface_points(hull.volume, solid=hull.solid)
+        points = sharp.to_legacy() if sharp else surface_points(hull.volume, solid=hull.with_interior)
         confidence = sharp.point.confidence.numpy().ravel() if sharp else None
         report("surface", 3, 3)
     with _timed(timings, "quality"):
@@ -106,13 +106,13 @@ def reconstruct(
             report("evaluation", 0, 1)
             evaluation = evaluate(mesh, ground_truth, mm_per_unit=scene.mm_per_unit)
             report("evaluation", 1, 1)
-    mending = replace(mending, specks=specks)
+    repairs = replace(repairs, small_components=small_components)
     return Reconstruction(
-        scene, settings, hull, points, confidence, mesh, support, mending, timings, quality, evaluation
+        scene, settings, hull, points, confidence, mesh, support, repairs, timings, quality, evaluation
     )
 
 
-def keep_stages(folder: Path | str, scene: Scene, settings: Settings) -> StageFolder | None:
+def keep_stages(folder: Path | str, scene: Scene, settings: Settings) -> Checkpoints | None:
     """Stages of a run in a folder, for ``reconstruct``; None where a photo-consistency test decides.
 
     A test may be a user's own and change without a trace; carving by one is done again.
@@ -124,24 +124,26 @@ def keep_stages(folder: Path | str, scene: Scene, settings: Settings) -> StageFo
     chosen = ("n_voxels", "voxel_size", "method", "method_options", "views", "max_views")
     told = {name: value for name, value in settings.record().items() if name in chosen}
     chosen_by = json.dumps(told, sort_keys=True, default=np.generic.item)
-    return StageFolder(folder, f"{code_fingerprint()} {scene.fingerprint()} {chosen_by}")
+    return Checkpoints(folder, f"{code_fingerprint()} {scene.fingerprint()} {chosen_by}")
 
 
-def _carved_mesh(hull: PhotoHull, settings: Settings) -> o3d.geometry.TriangleMesh:
+def _carved_mesh(hull: CarvedVolume, settings: Settings) -> o3d.geometry.TriangleMesh:
     """Mesh of the accepted voxels, or of all that is solid."""
     shell = METHODS[settings.method].one_sided and not settings.fill_hidden
-    return mesh_shape(hull.volume if shell else hull.solid, distance=hull.distance, smoothing=settings.smoothing)
+    return mesh_shape(
+        hull.volume if shell else hull.with_interior, distance=hull.distance, smoothing=settings.smoothing
+    )
 
 
 def carve(
     scene: Scene, volume: CarvingVolume, settings: Settings, stages: Stages | None = None, **callbacks: Any
-) -> PhotoHull:
+) -> CarvedVolume:
     """Carve a volume with the method and test of resolved settings, or take what an earlier run kept of that.
 
     Callbacks such as ``progress`` go to the method.
     """
     if stages is not None and "carving" in stages:
-        return PhotoHull.from_arrays(volume, stages["carving"])
+        return CarvedVolume.from_arrays(volume, stages["carving"])
     hull = METHODS[settings.method].carve(scene, volume, settings.test, **callbacks, **settings.method_options)
     if stages is not None:
         stages["carving"] = hull.arrays()

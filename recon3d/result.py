@@ -19,8 +19,8 @@ from recon3d.rendering.sheets import turntable
 from recon3d.scene.scene import Scene
 from recon3d.settings import Settings
 from recon3d.summary import Summarised
-from recon3d.surface.repair import Mending
-from recon3d.volume.carved import PhotoHull
+from recon3d.surface.repair import Repairs
+from recon3d.volume.carved import CarvedVolume
 
 
 @dataclass(frozen=True, repr=False)
@@ -30,7 +30,7 @@ class Reconstruction(Summarised):
     scene: Scene
     """With the views that were used."""
     settings: Settings
-    hull: PhotoHull
+    carved: CarvedVolume
     """What carving left; of a sharp result, after the depths found carved it once more."""
     points: o3d.geometry.PointCloud
     """Coloured, with outward normals: the centres of the surface voxels, or the points that dense matching found."""
@@ -42,7 +42,7 @@ class Reconstruction(Summarised):
     support: NDArray[np.int64]
     """(n_vertices,) how many views see each vertex of the mesh; of a sharp mesh 0 where no point lies near it. Where
     it is 0, the hull closes the mesh."""
-    mending: Mending
+    repairs: Repairs
     """What was wrong with the mesh before."""
     timings: dict[str, float]
     """Seconds of each step."""
@@ -53,7 +53,7 @@ class Reconstruction(Summarised):
 
     def record(self) -> dict[str, Any]:
         """Every parameter, version, timing and figure of the run, for a JSON file."""
-        volume = self.hull.volume
+        volume = self.carved.volume
         return {
             "recon3d": __version__,
             "versions": {
@@ -70,12 +70,12 @@ class Reconstruction(Summarised):
             },
             "settings": self.settings.record(),
             "volume": {"shape": list(volume.shape), "voxel_size": volume.voxel_size, "origin": list(volume.origin)},
-            "voxels": self.hull.counts(),
+            "voxels": self.carved.counts(),
             "mesh": {
                 "vertices": len(self.mesh.vertices),
                 "triangles": len(self.mesh.triangles),
                 "support": np.bincount(self.support).tolist(),
-                **self.mending.record(),
+                **self.repairs.record(),
             },
             "timings_s": self.timings,
             "quality": self.quality.record(),
@@ -84,14 +84,14 @@ class Reconstruction(Summarised):
 
     def summary(self) -> dict[str, object]:
         """Table of the run."""
-        volume = self.hull.volume
+        volume = self.carved.volume
         mm = volume.voxel_size * self.scene.mm_per_unit
         supported = float((self.support > 0).mean())
         return {
             "scene": f"{self.scene.name}, {len(self.scene.views)} views",
             "voxels": f"{volume.occupied.size:,} of {mm:.3g} mm, {volume.n_occupied:,} accepted",
             "mesh": f"{len(self.mesh.triangles):,} triangles, {supported:.0%} of them measured, the rest the hull's",
-            **({"mended": str(self.mending)} if str(self.mending) else {}),
+            **({"mended": str(self.repairs)} if str(self.repairs) else {}),
             "time": ", ".join(f"{name} {seconds:.2f} s" for name, seconds in self.timings.items()),
             **self.quality.summary(),
             **(self.evaluation.summary() if self.evaluation else {}),

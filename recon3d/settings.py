@@ -48,8 +48,8 @@ class Settings:
     """With "auto": use at most so many, those farthest apart; the paper uses 8."""
     fill_hidden: bool = False
     """With a one-sided method, mesh what lies hidden behind the accepted voxels, too: solid, but partly guessed."""
-    quality: Literal["auto", "carve", "sharp"] = "auto"
-    """"carve": the mesh of the voxels; "sharp": of the points that dense matching finds inside them; "auto": sharp
+    quality: Literal["auto", "voxels", "dense"] = "auto"
+    """"voxels": the mesh of the voxels; "dense": of the points that dense matching finds inside them; "auto": sharp
     where the method is left to choose and silhouettes are known."""
     surface: Surface = "poisson"
     """How a sharp mesh is made of its points."""
@@ -58,7 +58,7 @@ class Settings:
     the hull's. A carved surface is supported where a view sees it, a sharp one where two views found it."""
     smoothing: int = 5
     """Pairs of Taubin steps on a carved mesh; 0: none."""
-    min_piece: float = 100.0
+    min_component: float = 100.0
     """Area, in faces of a voxel, below which a separate piece of the mesh is a speck and dropped; 100 is the surface
     of four voxels cubed, 0 keeps all."""
 
@@ -71,15 +71,15 @@ class Settings:
             raise ValueError(f"expected method auto, {', '.join(METHODS)}, got {self.method!r}")
         if isinstance(self.views, str) and self.views not in ("auto", "all"):
             raise ValueError(f"expected views 'auto', 'all' or a tuple of names, got {self.views!r}")
-        for name, known in (("quality", ("auto", "carve", "sharp")), ("surface", get_args(Surface))):
+        for name, known in (("quality", ("auto", "voxels", "dense")), ("surface", get_args(Surface))):
             if getattr(self, name) not in known:
                 raise ValueError(f"expected {name} {', '.join(known)}, got {getattr(self, name)!r}")
         if self.max_views is not None and self.max_views < 1:
             raise ValueError(f"expected max_views of at least 1, got {self.max_views}")
         if self.smoothing < 0:
             raise ValueError(f"expected smoothing of 0 or more, got {self.smoothing}")
-        if not 0 <= self.min_piece < np.inf:
-            raise ValueError(f"expected min_piece of 0 or more, got {self.min_piece}")
+        if not 0 <= self.min_component < np.inf:
+            raise ValueError(f"expected min_component of 0 or more, got {self.min_component}")
 
     def resolved(self, scene: Scene) -> Settings:
         """The same settings with the method, quality and test that "auto" and None mean for a scene.
@@ -94,7 +94,7 @@ class Settings:
             method = "vote-carving" if known and self.test is None else "generalized-voxel-coloring"
         quality = self.quality
         if quality == "auto":
-            quality = "sharp" if self.method == "auto" and method == "vote-carving" else "carve"
+            quality = "dense" if self.method == "auto" and method == "vote-carving" else "voxels"
         kind = METHODS[method]
         if self.test is not None and not kind.uses_test:
             raise ValueError(f"{method} uses no photo-consistency test, got {self.test!r}")

@@ -15,7 +15,7 @@ def main(
     reconstruction: Annotated[Path, typer.Argument(metavar="RECON", help="Mesh, point cloud or voxel grid.")],
     ground_truth: Annotated[Path, typer.Argument(metavar="GROUND_TRUTH", help="Mesh or points, same frame.")],
     output: Annotated[Path, typer.Option(help="Folder for the JSON and the curves.")] = Path("evaluation"),
-    real: Annotated[Path | None, typer.Option(help="Part of GROUND_TRUTH that is real data.")] = None,
+    valid: Annotated[Path | None, typer.Option(help="Part of GROUND_TRUTH that is real data.")] = None,
     supported: Annotated[bool, typer.Option(help="Leave out what only the hull closes.")] = False,
     accuracy_percent: float = 90.0,
     completeness_threshold_mm: float = 1.25,
@@ -25,7 +25,7 @@ def main(
     evaluation = recon3d.evaluate_files(
         reconstruction,
         ground_truth,
-        real=real,
+        valid=valid,
         supported=supported,
         accuracy_percent=accuracy_percent,
         completeness_threshold_mm=completeness_threshold_mm,

@@ -31,7 +31,7 @@ def seen_by_two(built_in: recon3d.BuiltInScene) -> tuple[o3d.geometry.TriangleMe
     )
     centers.vertex_normals = mesh.triangle_normals
     caster = recon3d.casting.RayCaster(truth)
-    seen = recon3d.seeing_views(centers, scene, caster)
+    seen = recon3d.vertex_visibility(centers, scene, caster)
     return mesh, seen.sum(axis=0) >= 2
 
 
@@ -46,7 +46,7 @@ def main(
     result = recon3d.reconstruct(built_in.scene, recon3d.Settings(surface=surface, keep_unsupported=False))
     truth, seen = seen_by_two(built_in)
     half = built_in.scene.pixel_footprint * built_in.scene.mm_per_unit / 2
-    measured = recon3d.evaluate(result.mesh, truth, real=seen, spacing=half / 2000)
+    measured = recon3d.evaluate(result.mesh, truth, valid=seen, spacing=half / 2000)
     whole = recon3d.evaluate(result.mesh, truth, spacing=half / 2000)
     print(f"half a pixel's footprint {half:.3f} mm; two views or more show {seen.mean():.1%} of the triangles")
     print(f"accuracy (90%)            {measured.accuracy_mm:.3f} mm; median {measured.accuracy_at(50):.3f} mm")

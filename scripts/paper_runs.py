@@ -75,7 +75,7 @@ class DataSet:
     runs: Path
     n_voxels: int
     truth: TriangleMesh | None = None
-    real: NDArray[np.bool_] | None = None
+    valid: NDArray[np.bool_] | None = None
     results: dict[str, Result] = field(default_factory=dict)
 
     def run(
@@ -97,7 +97,7 @@ class DataSet:
             except recon3d.EmptyReconstructionError:
                 return self.results.setdefault(title, Result(title, scene))
         mesh = recon3d.read_mesh(folder / "mesh.ply")
-        evaluation = recon3d.evaluate(mesh, self.truth, real=self.real) if self.truth else None
+        evaluation = recon3d.evaluate(mesh, self.truth, valid=self.valid) if self.truth else None
         scene = scene.subset(record["scene"]["views"])
         return self.results.setdefault(title, Result(title, scene, record, mesh, evaluation))
 

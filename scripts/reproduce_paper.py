@@ -37,7 +37,7 @@ OTHERS = (
 )
 SINGLE = (math.log(2), 0.6, 0.5, 0.4, 0.3, 0.2)
 """Thresholds of Fig. 3, after the one near which the paper found the best."""
-RIVALS = ("standard-deviation", "adaptive", "histogram", "colour-caching", "fuzzy")
+RIVALS = ("standard-deviation", "adaptive", "histogram", "color-caching", "fuzzy")
 """Tests of Fig. 5. Its third, [38], is colour caching in section 2, histograms in section 4: here are both."""
 
 
@@ -261,7 +261,7 @@ def main(
     dino: Annotated[Path, typer.Argument(metavar="DINO_SPARSE_RING", help="Middlebury's set.")],
     rose: Annotated[Path | None, typer.Option(help="The Rose sequence, in a format that recon3d reads.")] = None,
     temple_truth: Annotated[Path | None, typer.Option(help="Ground truth mesh of the temple.")] = None,
-    temple_real: Annotated[Path | None, typer.Option(help="Part of it that is real data.")] = None,
+    temple_valid: Annotated[Path | None, typer.Option(help="Part of it that is real data.")] = None,
     dino_truth: Annotated[Path | None, typer.Option(help="Ground truth mesh of the dinosaur.")] = None,
     truth_label: Annotated[
         str, typer.Option(help="What the figures are measured against.")
@@ -272,9 +272,9 @@ def main(
     """Write the page."""
     book, runs = Book(output), output / "runs"
     truths = [recon3d.read_mesh(path) if path else None for path in (temple_truth, dino_truth)]
-    real = recon3d.triangles_near(truths[0], recon3d.read_mesh(temple_real), 1e-4) if temple_real else None
+    valid = recon3d.triangles_near(truths[0], recon3d.read_mesh(temple_valid), 1e-4) if temple_valid else None
     sets = [
-        DataSet("TempleSparseRing", temple, runs, voxels, truths[0], real),
+        DataSet("TempleSparseRing", temple, runs, voxels, truths[0], valid),
         DataSet("DinoSparseRing", dino, runs, voxels, truths[1]),
     ]
     introduction(book, sets)

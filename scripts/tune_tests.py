@@ -1,6 +1,6 @@
 """Choose the defaults of the photo-consistency tests: every setting's F-score on two scenes, as a Markdown table.
 
-Usage: python scripts/tune_tests.py TEMPLE_RING GROUND_TRUTH [--real PART]
+Usage: python scripts/tune_tests.py TEMPLE_RING GROUND_TRUTH [--valid PART]
 
 The scenes are Middlebury's templeRing without the views that templeSparseRing holds, on which results are reported, and
 the built-in temple. Each setting runs as the paper does: voxel colouring of eight admissible views at a million voxels.
@@ -40,7 +40,7 @@ GRIDS: dict[str, list[dict[str, Any]]] = {
     **{name: [{}] for name in ("fuzzy", "fuzzy-single", "adaptive", "histogram")},
     "variance": settings_of("sigma0", 10, 15, 20, 25, 30, 35, 40, 45, 50, 60),
     "standard-deviation": settings_of("threshold", 10, 15, 20, 25, 30, 35, 40, 45, 50, 60, 80),
-    "colour-caching": [
+    "color-caching": [
         {"threshold": matt, "neighbour_threshold": shiny}
         for matt in (10, 20, 30, 40, 50, 60, 80)
         for shiny in (5, 10, 15, 20, 25, 30, 35, 40, 50)
@@ -64,7 +64,7 @@ class Measured(NamedTuple):
 
     scene: recon3d.Scene
     ground_truth: o3d.geometry.TriangleMesh
-    real: Any = None
+    valid: Any = None
 
     def f_score(self, test: recon3d.ConsistencyTest | None) -> float:
         """F-score in percent of what a test leaves; 0 where it leaves nothing."""
@@ -73,21 +73,21 @@ class Measured(NamedTuple):
             result = recon3d.reconstruct(self.scene, settings)
         except recon3d.EmptyReconstructionError:
             return 0.0
-        voxel = result.hull.volume.voxel_size
-        evaluation = recon3d.evaluate(result.mesh, self.ground_truth, real=self.real, spacing=voxel / 2)
+        voxel = result.carved.volume.voxel_size
+        evaluation = recon3d.evaluate(result.mesh, self.ground_truth, valid=self.valid, spacing=voxel / 2)
         distance = VOXELS_APART * voxel * self.scene.mm_per_unit
         precision = 100 * float(np.mean(evaluation.accuracy_distances <= distance))
         recall = evaluation.completeness_at(distance)
         return 2 * precision * recall / max(precision + recall, 1e-9)
 
 
-def temple_ring(folder: Path, ground_truth: Path, real: Path | None) -> Measured:
+def temple_ring(folder: Path, ground_truth: Path, valid: Path | None) -> Measured:
     """The ring's views that the sparse ring does not have, and the ground truth moved into its frame."""
     scene = recon3d.open_scene(folder)
     numbers = {view.name: int(re.findall(r"\d+", view.name)[-1]) for view in scene.views}
     scene = scene.subset([name for name, number in numbers.items() if number not in SPARSE_RING])
     surface = recon3d.read_mesh(ground_truth)
-    mask = None if real is None else recon3d.triangles_near(surface, recon3d.read_mesh(real), 1e-4)
+    mask = None if valid is None else recon3d.triangles_near(surface, recon3d.read_mesh(valid), 1e-4)
     return Measured(scene, surface.translate(RING_FROM_SPARSE_RING), mask)
 
 
@@ -118,12 +118,12 @@ def print_family(
 def main(
     temple_ring_folder: Annotated[Path, typer.Argument(metavar="TEMPLE_RING", help="Middlebury's templeRing.")],
     ground_truth: Annotated[Path, typer.Argument(metavar="GROUND_TRUTH", help="Mesh, in templeSparseRing's frame.")],
-    real: Annotated[Path | None, typer.Option(help="Part of GROUND_TRUTH that is real data.")] = None,
+    valid: Annotated[Path | None, typer.Option(help="Part of GROUND_TRUTH that is real data.")] = None,
     only: Annotated[list[str] | None, typer.Option(help="Tests to run; all when not given.")] = None,
 ) -> None:
     """Print the table."""
     built_in = recon3d.little_temple()
-    scenes = [temple_ring(temple_ring_folder, ground_truth, real), Measured(built_in.scene, built_in.ground_truth)]
+    scenes = [temple_ring(temple_ring_folder, ground_truth, valid), Measured(built_in.scene, built_in.ground_truth)]
     print(f"| test | setting | {scenes[0].scene.name} | {scenes[1].scene.name} | |")
     print("| --- | --- | --- | --- | --- |")
     print_family("none", [{}], lambda: no_test, scenes)

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from scenes import ball_mesh, cameras, grain, photographs, plain_view
 
 import recon3d
-from recon3d import PhotoHull, Reconstruction, Scene, Settings, make_bounds
-from recon3d.io.checkpoints import StageFolder
+from recon3d import CarvedVolume, Reconstruction, Scene, Settings, make_bounds
+from recon3d.io.checkpoints import Checkpoints
 from recon3d.pipeline import keep_stages
 from recon3d.stereo.refinement import PASSES
 
@@ -30,12 +30,12 @@ def assert_same(one: dict[str, NDArray[Any]], two: dict[str, NDArray[Any]]) -> N
 
 
 def test_stages_come_back_as_they_were(tmp_path: Path) -> None:
-    folder = StageFolder(tmp_path / "stages", "key")
+    folder = Checkpoints(tmp_path / "stages", "key")
     assert list(folder) == []
     names = ["carving", "pass 1 view ../ü 1.png"]
     for name in names:
         folder[name] = ARRAYS
-    again = StageFolder(tmp_path / "stages", "key")
+    again = Checkpoints(tmp_path / "stages", "key")
     assert sorted(again) == names
     assert len(again) == 2
     assert_same(again["pass 1 view ../ü 1.png"], ARRAYS)
@@ -47,7 +47,7 @@ def test_stages_come_back_as_they_were(tmp_path: Path) -> None:
 
 
 def test_stages_of_another_key_are_absent_and_replaced(tmp_path: Path) -> None:
-    old, new = StageFolder(tmp_path, "old"), StageFolder(tmp_path, "new")
+    old, new = Checkpoints(tmp_path, "old"), Checkpoints(tmp_path, "new")
     old["carving"] = ARRAYS
     assert "carving" not in new
     new["carving"] = {"labels": np.zeros(3)}
@@ -57,7 +57,7 @@ def test_stages_of_another_key_are_absent_and_replaced(tmp_path: Path) -> None:
 
 @pytest.mark.filterwarnings("error")  # a file left open would warn, too
 def test_any_damage_makes_a_stage_absent(tmp_path: Path) -> None:
-    folder = StageFolder(tmp_path, "key")
+    folder = Checkpoints(tmp_path, "key")
     folder["view"] = ARRAYS
     path = tmp_path / "view.npz"
     whole = path.read_bytes()
@@ -102,7 +102,7 @@ def run(scene: Scene, folder: Path, settings: Settings = SETTINGS, **options: An
     assert stages is not None
     made: list[str] = []
 
-    class Watched(StageFolder):
+    class Watched(Checkpoints):
         def __setitem__(self, name: str, arrays: dict[str, NDArray[Any]]) -> None:
             made.append(name)
             super().__setitem__(name, arrays)
@@ -112,7 +112,7 @@ def run(scene: Scene, folder: Path, settings: Settings = SETTINGS, **options: An
 
 
 def assert_same_result(one: Reconstruction, two: Reconstruction) -> None:
-    assert_same(one.hull.arrays(), two.hull.arrays())
+    assert_same(one.carved.arrays(), two.carved.arrays())
     for a, b in ((one.points.points, two.points.points), (one.points.colors, two.points.colors)):
         np.testing.assert_array_equal(np.asarray(a), np.asarray(b))
     assert one.confidence is not None
@@ -160,12 +160,12 @@ def test_what_matters_to_a_stage_is_in_its_key(scene: Scene, tmp_path: Path) -> 
     other = replace(scene.views[0], image=scene.views[0].image // 2)
     darker = replace(scene, views=(other, *scene.views[1:]))
     different = [
-        key(), key(darker), key(n_voxels=9000), key(voxel_size=0.2), key(method="visual-hull", quality="sharp"),
+        key(), key(darker), key(n_voxels=9000), key(voxel_size=0.2), key(method="visual-hull", quality="dense"),
         key(method_options={"min_score": 0.5}), key(views=("view0[1-3].png",)), key(max_views=3),
     ]  # fmt: skip
     assert len(set(different)) == len(different)
     # What only comes after matching may change.
-    assert key(surface="graph-cut", keep_unsupported=False, min_piece=0) == key()
+    assert key(surface="graph-cut", keep_unsupported=False, min_component=0) == key()
     assert key(method_options={"min_score": np.float64(0.5)}) == key(method_options={"min_score": 0.5})
 
 
@@ -194,10 +194,10 @@ def test_a_fingerprint_tells_all_that_a_scene_is_made_of() -> None:
 
 
 def test_a_hull_comes_back_from_its_arrays(undisturbed: Reconstruction) -> None:
-    hull = undisturbed.hull
-    again = PhotoHull.from_arrays(hull.volume.with_occupancy(np.zeros(hull.volume.shape, np.bool_)), hull.arrays())
+    hull = undisturbed.carved
+    again = CarvedVolume.from_arrays(hull.volume.with_occupancy(np.zeros(hull.volume.shape, np.bool_)), hull.arrays())
     assert_same(again.arrays(), hull.arrays())
     assert again.counts() == hull.counts()
     bare = replace(hull, distance=None)
     assert "distance" not in bare.arrays()
-    assert PhotoHull.from_arrays(hull.volume, bare.arrays()).distance is None
+    assert CarvedVolume.from_arrays(hull.volume, bare.arrays()).distance is None

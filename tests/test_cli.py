@@ -92,7 +92,7 @@ def test_a_test_and_its_options_are_chosen_by_name(photographs: Path, tmp_path: 
 
 def test_the_surface_may_be_made_again_from_the_stages_that_are_kept(photographs: Path, tmp_path: Path) -> None:
     command = ["reconstruct", photographs, "--voxels", 8000, "-o", tmp_path, "--no-pictures", "--views", "view0[1-3]*"]
-    command += ["--method", "visual-hull", "--quality", "sharp"]
+    command += ["--method", "visual-hull", "--quality", "dense"]
 
     def unsupported() -> float:
         support = recon3d.read_support(tmp_path / "mesh.ply")
@@ -104,22 +104,22 @@ def test_the_surface_may_be_made_again_from_the_stages_that_are_kept(photographs
         return [settings[name] for name in ("quality", "surface", "keep_unsupported")]
 
     run(*command)
-    assert chosen() == ["sharp", "poisson", True]
+    assert chosen() == ["dense", "poisson", True]
     made = {path.name: path.stat().st_mtime_ns for path in (tmp_path / "stages").iterdir()}
     assert len(made) == 1 + 3 * len(PASSES)  # carving, and every pass over three views
     assert unsupported() > 0.2  # three views see a half of it
     run(*command, "--surface", "graph-cut", "--no-keep-unsupported")
-    assert chosen() == ["sharp", "graph-cut", False]
+    assert chosen() == ["dense", "graph-cut", False]
     assert unsupported() < 0.05
     assert {path.name: path.stat().st_mtime_ns for path in (tmp_path / "stages").iterdir()} == made
-    run(*command[:-1], "carve")
-    assert chosen() == ["carve", "poisson", True]
+    run(*command[:-1], "voxels")
+    assert chosen() == ["voxels", "poisson", True]
 
 
 def test_tests_are_compared_swept_and_written(photographs: Path, temple: recon3d.BuiltInScene, tmp_path: Path) -> None:
     truth = recon3d.write_geometry(tmp_path / "truth.ply", temple.ground_truth)
     command = ["compare", photographs, "--tests", "standard-deviation", "--sweep", "threshold=60:79:20"]
-    command += ["--voxels", 8000, "--max-views", 4, "-o", tmp_path, "--ground-truth", truth, "--real", truth]
+    command += ["--voxels", 8000, "--max-views", 4, "-o", tmp_path, "--ground-truth", truth, "--valid", truth]
     text = run(*command, "--completeness-threshold", 3).stdout
     record = json.loads((tmp_path / "comparison.json").read_text())
     labels = [trial["label"] for trial in record["trials"]]
@@ -167,7 +167,7 @@ def test_tests_are_compared_swept_and_written(photographs: Path, temple: recon3d
         (["reconstruct", "little-temple", "--bounds", "0,0,0,1,1,1"], "it has its own bounds"),
         (["compare", "PHOTOGRAPHS", "--tests", "fuzzy,magic"], "expected a test among fuzzy, "),
         (["compare", "PHOTOGRAPHS", "--sweep", "threshold=1:2"], "--sweep: expected NAME=LOW:HIGH:STEP"),
-        (["compare", "PHOTOGRAPHS", "--real", "nowhere.ply"], "--real: expected --ground-truth, too"),
+        (["compare", "PHOTOGRAPHS", "--valid", "nowhere.ply"], "--valid: expected --ground-truth, too"),
         (["demo", "--noise", "nan"], "expected 0 <= noise < 256"),
         (["render", str(Path(__file__).parent)], "expected the folder of a result"),
         (["evaluate", "nowhere.ply", "nowhere.ply"], "nowhere.ply: no such file"),

@@ -40,7 +40,7 @@ from recon3d.kernels.item_buffer import next_voxel
 from recon3d.scene.bounds import make_bounds
 from recon3d.scene.scene import Scene
 from recon3d.scene.silhouettes import without_silhouettes
-from recon3d.volume.carved import PhotoHull
+from recon3d.volume.carved import CarvedVolume
 from recon3d.volume.dense import CarvingVolume
 from recon3d.volume.sparse import SparseVolume
 
@@ -61,9 +61,9 @@ def scene_named(name: str, temple: BuiltInScene) -> Scene:
     return replace(ball, views=views)
 
 
-def assert_same(sparse: SparseVolume, dense: PhotoHull) -> None:
+def assert_same(sparse: SparseVolume, dense: CarvedVolume) -> None:
     """Lattice, occupancy, distance, visible voxels, their colours and surface are equal to the last bit."""
-    solid = dense.solid
+    solid = dense.with_interior
     assert sparse.shape == solid.shape
     assert sparse.voxel_size == solid.voxel_size
     np.testing.assert_array_equal(sparse.origin, solid.origin)

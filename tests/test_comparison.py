@@ -20,7 +20,7 @@ from recon3d.consistency.fuzzy import FuzzySingle
 from recon3d.consistency.spec import identity
 from recon3d.rendering.sheets import portrait
 from recon3d.study import trials
-from recon3d.study.variants import contestants
+from recon3d.study.variants import expand_variants
 
 SETTINGS = recon3d.Settings(n_voxels=15_000, method="voxel-coloring")
 SPACING = 2e-3
@@ -62,21 +62,23 @@ def measured(temple: recon3d.BuiltInScene) -> recon3d.Comparison:
 
 
 def test_all_means_every_test_by_its_name() -> None:
-    assert [entry.label for entry in contestants("all")] == list(TESTS)
+    assert [entry.label for entry in expand_variants("all")] == list(TESTS)
 
 
 def test_a_sweep_varies_the_tests_that_have_its_parameter() -> None:
-    found = contestants({"plain": "fuzzy", "one": FuzzySingle(trim=0.2), "own": accept_all}, ("threshold", (0.25, 0.5)))
+    found = expand_variants(
+        {"plain": "fuzzy", "one": FuzzySingle(trim=0.2), "own": accept_all}, ("threshold", (0.25, 0.5))
+    )
     assert [entry.label for entry in found] == ["plain", "one threshold=0.25", "one threshold=0.5", "own"]
     assert [entry.value for entry in found] == [None, 0.25, 0.5, None]
     assert found[2].test == FuzzySingle(trim=0.2, threshold=0.5)
     assert [entry.family for entry in found[1:3]] == ["one", "one"]
-    levels = contestants([accept_all], ("level", np.array([0.1, 0.2])))  # type: ignore[arg-type]
+    levels = expand_variants([accept_all], ("level", np.array([0.1, 0.2])))  # type: ignore[arg-type]
     assert [entry.label for entry in levels] == ["accept_all level=0.1", "accept_all level=0.2"]
 
 
 def test_a_test_given_as_a_value_is_called_by_what_is_not_as_usual() -> None:
-    labels = [entry.label for entry in contestants([Adaptive(), Adaptive(base=5), accept_all])]
+    labels = [entry.label for entry in expand_variants([Adaptive(), Adaptive(base=5), accept_all])]
     assert labels == ["Adaptive", "Adaptive base=5", "accept_all"]
 
 
@@ -94,7 +96,7 @@ def test_a_test_given_as_a_value_is_called_by_what_is_not_as_usual() -> None:
 )
 def test_a_wrong_test_or_sweep_is_refused(tests: list[str], sweep: tuple[str, list[float]], message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        contestants(tests, sweep)
+        expand_variants(tests, sweep)
 
 
 def test_every_built_in_test_has_an_identity_of_its_own() -> None:
@@ -102,7 +104,7 @@ def test_every_built_in_test_has_an_identity_of_its_own() -> None:
     assert None not in found
     assert len(set(found)) == len(TESTS)
     assert identity(Adaptive()) == identity(Adaptive()) != identity(Adaptive(base=5))
-    (swept,) = contestants(["adaptive"], ("base", np.array([5])))  # type: ignore[arg-type]
+    (swept,) = expand_variants(["adaptive"], ("base", np.array([5])))  # type: ignore[arg-type]
     assert identity(swept.test) == identity(Adaptive(base=5))
 
 
@@ -118,15 +120,15 @@ def test_a_test_from_a_module_is_swept_and_known_again(tmp_path: Path, monkeypat
     (tmp_path / "swept_own.py").write_text(source + "def plain(patches, level=0.5): ...\n")
     monkeypatch.chdir(tmp_path)
     names = ["swept_own:Own", "swept_own:plain"]
-    found = contestants([*names, "fuzzy"], ("level", (0.1, 0.2)))
+    found = expand_variants([*names, "fuzzy"], ("level", (0.1, 0.2)))
     assert [entry.label for entry in found] == [*(f"{name} level={x}" for name in names for x in (0.1, 0.2)), "fuzzy"]
     assert [entry.test.options for entry in found[:4]] == 2 * [{"level": 0.1}, {"level": 0.2}]  # type: ignore[attr-defined]
     told = [identity(entry.test) for entry in found]
     assert None not in told
     assert len(set(told)) == 5
-    assert told == [identity(entry.test) for entry in contestants([*names, "fuzzy"], ("level", (0.1, 0.2)))]
+    assert told == [identity(entry.test) for entry in expand_variants([*names, "fuzzy"], ("level", (0.1, 0.2)))]
     with pytest.raises(ValueError, match="expected a parameter among level, got 'height'"):
-        contestants(names, ("height", (1.0,)))
+        expand_variants(names, ("height", (1.0,)))
 
 
 def test_a_trial_is_what_the_test_does_alone(temple: recon3d.BuiltInScene, measured: recon3d.Comparison) -> None:
@@ -136,12 +138,12 @@ def test_a_trial_is_what_the_test_does_alone(temple: recon3d.BuiltInScene, measu
     used = temple.scene.subset(measured.conditions["views"])
     for trial, test in zip(measured.trials[::3], (None, recon3d.StandardDeviation(60)), strict=True):
         alone = recon3d.reconstruct(used, replace(SETTINGS, test=test))
-        assert trial.accepted == alone.hull.volume.n_occupied
+        assert trial.accepted == alone.carved.volume.n_occupied
         quality = recon3d.measure_quality(alone.mesh, temple.scene.subset(names[3::4]))
         assert trial.median_error == quality.overall.median
         assert trial.rms_error == quality.overall.rms
         assert trial.overlap_percent == 100 * quality.overall.overlap  # type: ignore[operator]
-        assert trial.floating == quality.shape.components - 1 + alone.mending.specks > 0
+        assert trial.floating == quality.shape.components - 1 + alone.repairs.small_components > 0
         assert trial.roughness_degrees == quality.shape.dihedral_degrees
         figures = recon3d.evaluate(alone.mesh, temple.ground_truth, spacing=SPACING)
         assert (trial.accuracy_mm, trial.completeness_percent) == (figures.accuracy_mm, figures.completeness_percent)

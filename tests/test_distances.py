@@ -173,10 +173,10 @@ def test_filler_is_neither_asked_for_nor_held_against_the_reconstruction() -> No
     # The truth is a plate of 1 x 1 and, apart from it, a filler plate; the reconstruction has a part near the filler.
     filler = plate().translate((3.0, 0, 0))
     truth = plate() + filler
-    real = np.array([True, True, False, False])
+    valid = np.array([True, True, False, False])
     wrong = plate(1.0, 0.2).translate((3.0, 0, 0))
     reconstruction = plate() + wrong
-    result = evaluate(reconstruction, truth, real=real, mm_per_unit=1.0, completeness_threshold_mm=0.1, spacing=0.02)
+    result = evaluate(reconstruction, truth, valid=valid, mm_per_unit=1.0, completeness_threshold_mm=0.1, spacing=0.02)
     assert result.completeness_percent == 100.0
     assert result.accuracy_mm < 0.05
     assert result.left_out == 2500 / MEASURED_SHARE  # the samples of the wrong plate
@@ -196,7 +196,7 @@ def test_a_point_cloud_may_be_the_truth_and_have_filler() -> None:
     result = evaluate(
         cloud(points + np.array([0, 0.1, 0])),
         cloud(points),
-        real=np.array([True, True, False]),
+        valid=np.array([True, True, False]),
         mm_per_unit=1.0,
         spacing=1.0,
     )
@@ -255,9 +255,9 @@ def test_a_tiny_mesh_gets_one_sample() -> None:
         ({"accuracy_percent": 101}, r"expected an accuracy percentage in \(0, 100\], got 101"),
         ({"completeness_threshold_mm": 0}, "expected a positive completeness threshold"),
         ({"mm_per_unit": -1}, "expected a positive completeness threshold and mm_per_unit"),
-        ({"real": np.ones(3, np.bool_)}, r"expected a bool mask \(2,\) with a True in it, got \(3,\) bool"),
-        ({"real": np.zeros(2, np.bool_)}, "with a True in it"),
-        ({"real": np.ones(2)}, "float64"),
+        ({"valid": np.ones(3, np.bool_)}, r"expected a bool mask \(2,\) with a True in it, got \(3,\) bool"),
+        ({"valid": np.zeros(2, np.bool_)}, "with a True in it"),
+        ({"valid": np.ones(2)}, "float64"),
     ],
 )
 def test_senseless_options_are_refused(options: dict[str, object], message: str) -> None:
@@ -296,4 +296,4 @@ def test_an_empty_truth_is_refused(truth: o3d.geometry.PointCloud) -> None:
 def test_a_reconstruction_near_filler_alone_is_refused() -> None:
     truth = plate() + plate().translate((50.0, 0, 0))
     with pytest.raises(ValueError, match="every sample of the reconstruction lies nearest to filler"):
-        evaluate(plate().translate((50.0, 0, 0)), truth, real=np.array([True, True, False, False]), spacing=0.1)
+        evaluate(plate().translate((50.0, 0, 0)), truth, valid=np.array([True, True, False, False]), spacing=0.1)

@@ -56,7 +56,7 @@ def result(method: str) -> recon3d.Reconstruction:
     return recon3d.reconstruct(world(), settings_of(method))
 
 
-def some_voxels(hull: recon3d.PhotoHull, label: Label, count: int = 3) -> NDArray[np.int64]:
+def some_voxels(hull: recon3d.CarvedVolume, label: Label, count: int = 3) -> NDArray[np.int64]:
     """A few voxels of a label; of judged ones the least and the most consistent and what is between."""
     voxels = np.argwhere(hull.labels == label)
     order = np.argsort(hull.degree[tuple(voxels.T)], kind="stable")
@@ -64,7 +64,7 @@ def some_voxels(hull: recon3d.PhotoHull, label: Label, count: int = 3) -> NDArra
 
 
 def explained(method: str, voxel: NDArray[np.int64]) -> Explanation:
-    volume = result(method).hull.volume
+    volume = result(method).carved.volume
     return explain(world(), settings_of(method), at=volume.origin + volume.voxel_size * (voxel + 0.4))
 
 
@@ -88,7 +88,7 @@ def degree_of(pixels: list[set[tuple[int, int]]]) -> Fraction:
 
 @cache
 def literal() -> Result:
-    volume = result("voxel-coloring").hull.volume
+    volume = result("voxel-coloring").carved.volume
     found = sweep_direction(world().centers, bounds_corners(volume.bounds))
     assert found is not None
     full = volume.with_occupancy(np.ones(volume.shape, np.bool_))
@@ -97,8 +97,8 @@ def literal() -> Result:
 
 @pytest.mark.parametrize("label", [Label.BACKGROUND, Label.INCONSISTENT, Label.HIDDEN, Label.CONSISTENT])
 def test_voxel_colouring_is_explained_as_the_literal_reference_does_it(label: Label) -> None:
-    volume = result("voxel-coloring").hull.volume
-    for index in some_voxels(result("voxel-coloring").hull, label, 5):
+    volume = result("voxel-coloring").carved.volume
+    for index in some_voxels(result("voxel-coloring").carved, label, 5):
         explanation = explained("voxel-coloring", index)
         voxel = explanation.voxel
         assert explanation.label == literal().labels[voxel] == label
@@ -131,7 +131,7 @@ def test_voxel_colouring_is_explained_as_the_literal_reference_does_it(label: La
 
 @pytest.mark.parametrize("method", OBSERVED)
 def test_the_pixels_told_give_the_degree_told(method: str) -> None:
-    hull = result(method).hull
+    hull = result(method).carved
     for label in (Label.INCONSISTENT, Label.CONSISTENT):
         for index in some_voxels(hull, label, 4):
             explanation = explained(method, index)
@@ -146,8 +146,8 @@ def test_the_pixels_told_give_the_degree_told(method: str) -> None:
 
 
 def test_generalised_voxel_colouring_tells_the_pixels_that_see_the_voxel_first() -> None:
-    hull = result("generalized-voxel-coloring").hull
-    items = brute_force_items(world(), hull.volume, hull.solid.occupied)
+    hull = result("generalized-voxel-coloring").carved
+    items = brute_force_items(world(), hull.volume, hull.with_interior.occupied)
     for index in some_voxels(hull, Label.CONSISTENT, 5):
         explanation = explained("generalized-voxel-coloring", index)
         flat = np.ravel_multi_index(explanation.voxel, hull.volume.shape)
@@ -157,7 +157,7 @@ def test_generalised_voxel_colouring_tells_the_pixels_that_see_the_voxel_first()
 
 @pytest.mark.parametrize("method", OBSERVED)
 def test_candidates_are_told_through_which_voxels_they_are_connected(method: str) -> None:
-    hull = result(method).hull
+    hull = result(method).carved
     limits = np.array([[np.nan] * 2, *([float(alternating_harmonic(2 * n + k)) for k in (0, 1)] for n in range(1, 6))])
     low, high = np.moveaxis(limits[hull.n_views], -1, 0)
     between = (hull.degree > low + 1e-6) & (hull.degree < high - 1e-6)
@@ -192,7 +192,7 @@ def test_a_dropped_candidate_tells_how_many_hang_together() -> None:
 
 
 def test_every_outcome_says_what_it_is() -> None:
-    hull = result("voxel-coloring").hull
+    hull = result("voxel-coloring").carved
     expected = {
         Label.BACKGROUND: "background: carved before any test: outside the silhouettes of view",
         Label.INCONSISTENT: "inconsistent: carved, its degree",
@@ -205,13 +205,13 @@ def test_every_outcome_says_what_it_is() -> None:
         assert text in repr(explanation)
     wide = replace(world(), bounds=make_bounds([-3.5, -2.5, -2.5], [2.5, 2.5, 2.5]))
     settings = Settings(voxel_size=0.5, method="voxel-coloring")
-    wide_hull = recon3d.reconstruct(wide, settings).hull
+    wide_hull = recon3d.reconstruct(wide, settings).carved
     unseen = wide_hull.volume.origin + 0.5 * (np.argwhere(wide_hull.labels == Label.UNSEEN)[0] + 0.5)
     assert explain(wide, settings, at=unseen).outcome() == "unseen: no image shows it, or a camera stands there"
 
 
 def test_the_lines_count_the_pixels() -> None:
-    explanation = explained("voxel-coloring", some_voxels(result("voxel-coloring").hull, Label.CONSISTENT)[-1])
+    explanation = explained("voxel-coloring", some_voxels(result("voxel-coloring").carved, Label.CONSISTENT)[-1])
     rows = explanation.summary()
     for view in explanation.views:
         line = str(rows[f"view {view.name}"])
@@ -222,7 +222,7 @@ def test_the_lines_count_the_pixels() -> None:
 
 @pytest.mark.parametrize("method", METHODS)
 def test_every_method_tells_the_label_and_what_it_cannot_tell(method: str) -> None:
-    hull = result(method).hull
+    hull = result(method).carved
     for label in (Label.CONSISTENT, Label.BACKGROUND):
         explanation = explained(method, some_voxels(hull, label, 2)[-1])
         assert explanation.label == label
@@ -236,7 +236,7 @@ def test_every_method_tells_the_label_and_what_it_cannot_tell(method: str) -> No
 
 @pytest.mark.parametrize("method", ["visual-hull", "generalized-voxel-coloring"])
 def test_silhouettes_exclude_by_the_voxels_centre_where_the_method_does(method: str) -> None:
-    hull = result(method).hull
+    hull = result(method).carved
     for index in some_voxels(hull, Label.BACKGROUND, 6):
         explanation = explained(method, index)
         for view, evidence in zip(world().views, explanation.views, strict=True):
@@ -251,7 +251,7 @@ def test_silhouettes_exclude_by_the_voxels_centre_where_the_method_does(method: 
 def test_a_view_without_silhouette_excludes_nothing() -> None:
     views = world().views
     scene = replace(world(), views=(replace(views[0], silhouette=None), *views[1:]))
-    hull = result("visual-hull").hull
+    hull = result("visual-hull").carved
     for index in some_voxels(hull, Label.BACKGROUND, 4):
         place = hull.volume.origin + hull.volume.voxel_size * (index + 0.5)
         told = explain(scene, settings_of("visual-hull"), at=place).views
@@ -262,7 +262,7 @@ def test_a_view_without_silhouette_excludes_nothing() -> None:
 
 
 def test_a_pixel_means_the_first_accepted_voxel_on_its_ray() -> None:
-    hull = result("voxel-coloring").hull
+    hull = result("voxel-coloring").carved
     items = brute_force_items(world(), hull.volume, hull.volume.occupied)
     for row, column in np.argwhere(items[2] >= 0)[::90]:
         clicked = explain(world(), settings_of("voxel-coloring"), pixel=(world().views[2].name, column, row))
@@ -271,7 +271,7 @@ def test_a_pixel_means_the_first_accepted_voxel_on_its_ray() -> None:
 
 
 def test_a_pixel_of_a_hole_means_what_came_nearest_to_being_accepted() -> None:
-    hull = result("voxel-coloring").hull
+    hull = result("voxel-coloring").carved
     asked = {"degree": 0, "silhouettes": 0}
     view = world().views[1]
     for row in range(0, view.height, 3):
@@ -304,7 +304,7 @@ def test_a_pixel_of_a_hole_means_what_came_nearest_to_being_accepted() -> None:
 
 def test_an_observer_changes_nothing() -> None:
     for method in OBSERVED:
-        hull, watched = result(method).hull, explained(method, np.array([3, 3, 3])).hull
+        hull, watched = result(method).carved, explained(method, np.array([3, 3, 3])).carved
         np.testing.assert_array_equal(hull.labels, watched.labels)
         np.testing.assert_array_equal(hull.degree, watched.degree)
 
@@ -314,7 +314,7 @@ def test_the_choice_of_views_of_a_result_is_kept() -> None:
     done = recon3d.reconstruct(scene, Settings(n_voxels=1000, method="voxel-coloring", max_views=3))
     explanation = explain(done.scene, done.settings, at=[0.0, 0.0, 0.9])
     assert [view.name for view in explanation.scene.views] == [view.name for view in done.scene.views]
-    np.testing.assert_array_equal(explanation.hull.labels, done.hull.labels)
+    np.testing.assert_array_equal(explanation.carved.labels, done.carved.labels)
 
 
 @pytest.mark.parametrize(
@@ -340,16 +340,16 @@ def test_an_unknown_view_is_named_and_the_known_ones_too() -> None:
 
 
 def test_a_sharp_result_is_explained_with_what_matching_left(temple: BuiltInScene) -> None:
-    settings = Settings(n_voxels=8000, method="visual-hull", quality="sharp")
+    settings = Settings(n_voxels=8000, method="visual-hull", quality="dense")
     stages: dict[str, dict[str, NDArray[np.generic]]] = {}
     sharp = recon3d.reconstruct(temple.scene, settings, stages=stages)
-    carved, hull = stages["carving"]["labels"], sharp.hull
+    carved, hull = stages["carving"]["labels"], sharp.carved
     away = np.argwhere((carved == Label.CONSISTENT) & (hull.labels == Label.INCONSISTENT))[0]
     bared = np.argwhere((carved == Label.HIDDEN) & (hull.labels == Label.CONSISTENT))[0]
     for voxel, outcome in ((away, "inconsistent: carved by matching, "), (bared, "consistent: kept, ")):
         low = hull.volume.origin + hull.volume.voxel_size * voxel
         found = explain(temple.scene, settings, at=low + 0.5 * hull.volume.voxel_size, stages=stages)
-        assert found.hull.counts() == hull.counts()
+        assert found.carved.counts() == hull.counts()
         assert found.outcome().startswith(outcome)
         points = np.asarray(sharp.points.points)
         inside = ((points >= low) & (points < low + hull.volume.voxel_size)).all(axis=1).sum()

@@ -8,14 +8,14 @@ from scenes import edge_counts, full_volume, signed_volume
 
 from recon3d.errors import EmptyReconstructionError
 from recon3d.surface.graph_cut import graph_cut
-from recon3d.volume.carved import Label, PhotoHull
+from recon3d.volume.carved import CarvedVolume, Label
 
 N = 40  # voxels along the lattice's edge, which are units
 
 
-def hull_of(inside: NDArray[np.bool_]) -> PhotoHull:
+def hull_of(inside: NDArray[np.bool_]) -> CarvedVolume:
     """Hull of the voxels in a mask, on a lattice of unit voxels from the origin."""
-    hull = PhotoHull.untouched(full_volume(inside.shape))
+    hull = CarvedVolume.untouched(full_volume(inside.shape))
     hull.labels[inside] = Label.HIDDEN
     return hull
 
@@ -25,7 +25,7 @@ def centers() -> NDArray[np.float64]:
     return np.stack(np.meshgrid(*(np.arange(N) + 0.5,) * 3, indexing="ij"), axis=-1)
 
 
-def ball_hull(radius: float) -> PhotoHull:
+def ball_hull(radius: float) -> CarvedVolume:
     """Hull of a ball in the lattice's middle."""
     return hull_of(np.linalg.norm(centers() - N / 2, axis=-1) <= radius)
 
@@ -192,7 +192,7 @@ def test_as_many_points_once_more_change_nothing() -> None:
 def test_units_and_origin_of_the_world_do_not_matter() -> None:
     hull, points = ball_hull(18), ball_points()
     unit = graph_cut(points, hull)
-    far = PhotoHull.untouched(full_volume((N, N, N), 0.001, (0.3, -0.2, 0.1)))
+    far = CarvedVolume.untouched(full_volume((N, N, N), 0.001, (0.3, -0.2, 0.1)))
     far.labels[:] = hull.labels
     positions = 0.001 * (N / 2 + RADIUS * BALL) + [0.3, -0.2, 0.1]
     mesh = graph_cut(cloud(positions, BALL), far)
@@ -219,7 +219,7 @@ def test_the_mesh_takes_the_points_colours(dtype: type) -> None:
 def test_without_data_the_surface_follows_the_hulls_distance() -> None:
     hull = ball_hull(16.3)
     exact = (16.3 - np.linalg.norm(centers() - N / 2, axis=-1)).astype(np.float32)
-    known = PhotoHull(hull.volume, hull.labels, hull.degree, hull.n_views, exact)
+    known = CarvedVolume(hull.volume, hull.labels, hull.degree, hull.n_views, exact)
     ring = np.abs(BALL[:, 2]) < 0.5
     points = cloud(N / 2 + 16.3 * BALL[ring], BALL[ring])
     rough, smooth = (radii(graph_cut(points, h, ballooning=0.5, smoothing=0)) for h in (hull, known))

@@ -26,7 +26,7 @@ def test_five_lines_do_the_whole_job(temple: recon3d.BuiltInScene, tmp_path: Pat
     figures = recon3d.evaluate(result.mesh, temple.ground_truth)
     recon3d.save(result, tmp_path / "out")
     # A pixel is 1.6 mm here and a voxel 2.7 mm: most of the mesh lies within three voxels.
-    assert figures.accuracy_at(50) < 3 * 1000 * result.hull.volume.voxel_size
+    assert figures.accuracy_at(50) < 3 * 1000 * result.carved.volume.voxel_size
     assert figures.completeness_at(10) > 80
 
 
@@ -45,9 +45,9 @@ def test_what_is_saved_reads_back_as_it_was(result: recon3d.Reconstruction, tmp_
     assert cloud.has_colors()
     grid = recon3d.read_geometry(written["voxel grid"])
     assert isinstance(grid, o3d.geometry.VoxelGrid)
-    volume = recon3d.CarvingVolume.from_voxel_grid(grid, shape=result.hull.volume.shape)
-    np.testing.assert_array_equal(volume.occupied, result.hull.volume.occupied)
-    np.testing.assert_array_equal(volume.colors, result.hull.volume.colors)
+    volume = recon3d.CarvingVolume.from_voxel_grid(grid, shape=result.carved.volume.shape)
+    np.testing.assert_array_equal(volume.occupied, result.carved.volume.occupied)
+    np.testing.assert_array_equal(volume.colors, result.carved.volume.colors)
 
 
 def test_the_record_holds_every_parameter_version_timing_and_figure(
@@ -81,7 +81,7 @@ def test_filling_what_is_hidden_makes_the_mesh_solid(temple: recon3d.BuiltInScen
         recon3d.reconstruct(temple.scene, recon3d.Settings(n_voxels=60_000, method="voxel-coloring", fill_hidden=fill))
         for fill in (False, True)
     )
-    assert solid.hull.solid.n_occupied > shell.hull.volume.n_occupied
+    assert solid.carved.with_interior.n_occupied > shell.carved.volume.n_occupied
     assert _volume(solid.mesh) > 1.5 * _volume(shell.mesh)
 
 
@@ -105,7 +105,9 @@ def test_the_mesh_is_nearer_to_photographs_left_out_than_its_voxels() -> None:
     left_out = scene.views[2::5]
     used = replace(scene, views=tuple(view for view in scene.views if view.name not in [v.name for v in left_out]))
     result = recon3d.reconstruct(used, recon3d.Settings(n_voxels=200_000, method="visual-hull"))
-    voxels = recon3d.mesh_volume(result.hull.solid, colors_from=result.hull.volume, distance=result.hull.distance)
+    voxels = recon3d.mesh_volume(
+        result.carved.with_interior, colors_from=result.carved.volume, distance=result.carved.distance
+    )
 
     def difference(mesh: o3d.geometry.TriangleMesh) -> float:
         renderings = [recon3d.Renderer(mesh).render_view(view) for view in left_out]
@@ -118,14 +120,14 @@ def test_the_mesh_is_nearer_to_photographs_left_out_than_its_voxels() -> None:
 
 
 def test_specks_are_dropped_unless_all_pieces_are_wanted(temple: recon3d.BuiltInScene) -> None:
-    settings = recon3d.Settings(n_voxels=20_000, method="voxel-coloring", min_piece=0)
+    settings = recon3d.Settings(n_voxels=20_000, method="voxel-coloring", min_component=0)
     everything = recon3d.reconstruct(temple.scene, settings)
-    tidy = recon3d.reconstruct(temple.scene, replace(settings, min_piece=100))
-    assert everything.mending.specks == 0
+    tidy = recon3d.reconstruct(temple.scene, replace(settings, min_component=100))
+    assert everything.repairs.small_components == 0
     assert "mended" not in everything.summary()
-    assert tidy.mending.specks > 0
-    assert f"{tidy.mending.specks} specks dropped" in str(tidy.summary()["mended"])
-    assert tidy.record()["mesh"]["specks"] == tidy.mending.specks
+    assert tidy.repairs.small_components > 0
+    assert f"{tidy.repairs.small_components} small_components dropped" in str(tidy.summary()["mended"])
+    assert tidy.record()["mesh"]["small_components"] == tidy.repairs.small_components
     assert len(tidy.mesh.triangles) < len(everything.mesh.triangles)
 
 
@@ -165,7 +167,7 @@ def test_bad_settings_are_refused() -> None:
         ({"views": "some"}, "expected views"),
         ({"max_views": 0}, "max_views"),
         ({"smoothing": -1}, "smoothing"),
-        ({"min_piece": -1}, "min_piece"),
+        ({"min_component": -1}, "min_component"),
         ({"quality": "sharper"}, "expected quality auto, carve, sharp, got 'sharper'"),
         ({"surface": "delaunay"}, "expected surface poisson, graph-cut, got 'delaunay'"),
     ):
@@ -190,7 +192,7 @@ def test_both_sparse_rings_are_reconstructed(real_data: Path) -> None:
         settings = recon3d.Settings(n_voxels=200_000, method="voxel-coloring", views=views[0], max_views=views[1])  # type: ignore[arg-type]
         result = recon3d.reconstruct(recon3d.open_scene(real_data / name), settings)
         assert len(result.scene.views) == 8
-        assert result.hull.volume.n_occupied > 3000
+        assert result.carved.volume.n_occupied > 3000
         assert not result.mesh.get_non_manifold_edges(allow_boundary_edges=False)
 
 
@@ -224,17 +226,17 @@ def test_auto_quality_is_sharp_where_the_method_is_left_to_choose_and_silhouette
     temple: recon3d.BuiltInScene,
 ) -> None:
     scene, bare = temple.scene, recon3d.without_silhouettes(temple.scene)
-    assert recon3d.Settings().resolved(scene).quality == "sharp"
-    assert recon3d.Settings(quality="carve").resolved(scene).quality == "carve"
-    assert recon3d.Settings().resolved(bare).quality == "carve"
-    assert recon3d.Settings(test=recon3d.StandardDeviation()).resolved(scene).quality == "carve"
-    assert recon3d.Settings(method="vote-carving").resolved(scene).quality == "carve"
-    assert recon3d.Settings(method="visual-hull", quality="sharp").resolved(scene).quality == "sharp"
+    assert recon3d.Settings().resolved(scene).quality == "dense"
+    assert recon3d.Settings(quality="voxels").resolved(scene).quality == "voxels"
+    assert recon3d.Settings().resolved(bare).quality == "voxels"
+    assert recon3d.Settings(test=recon3d.StandardDeviation()).resolved(scene).quality == "voxels"
+    assert recon3d.Settings(method="vote-carving").resolved(scene).quality == "voxels"
+    assert recon3d.Settings(method="visual-hull", quality="dense").resolved(scene).quality == "dense"
 
 
 @pytest.fixture(scope="module")
 def sharp(temple: recon3d.BuiltInScene) -> recon3d.Reconstruction:
-    settings = recon3d.Settings(n_voxels=30_000, surface="graph-cut", keep_unsupported=True, min_piece=50)
+    settings = recon3d.Settings(n_voxels=30_000, surface="graph-cut", keep_unsupported=True, min_component=50)
     return recon3d.reconstruct(temple.scene, settings)
 
 
@@ -266,12 +268,12 @@ def test_a_sharp_result_is_saved_with_confidence_support_and_settings(
     record = json.loads(written["figures"].read_text())
     assert {"carving", "matching", "surface"} <= set(record["timings_s"])
     assert recon3d.Settings.from_record(record["settings"]) == sharp.settings
-    assert (sharp.settings.quality, sharp.settings.surface) == ("sharp", "graph-cut")
+    assert (sharp.settings.quality, sharp.settings.surface) == ("dense", "graph-cut")
 
 
 @pytest.mark.parametrize("surface", ["poisson", "graph-cut"])
 def test_without_what_is_unsupported_a_sharp_mesh_is_near_its_points_and_seen(
-    temple: recon3d.BuiltInScene, surface: recon3d.stereo.Surface
+    temple: recon3d.BuiltInScene, surface: recon3d.surface.Surface
 ) -> None:
     settings = recon3d.Settings(n_voxels=20_000, surface=surface, keep_unsupported=False)
     result = recon3d.reconstruct(temple.scene, settings)

@@ -22,7 +22,7 @@ from recon3d.kernels.rays import walk
 from recon3d.scene.bounds import make_bounds
 from recon3d.scene.scene import Scene
 from recon3d.scene.silhouettes import without_silhouettes
-from recon3d.volume.carved import Label, PhotoHull
+from recon3d.volume.carved import CarvedVolume, Label
 from recon3d.volume.dense import CarvingVolume
 
 ALL_ROUND = cameras(8, arc=360)
@@ -113,7 +113,7 @@ def test_noise_that_makes_space_carving_tear_through_the_object_does_not_here() 
     centers = np.abs(volume.centers().reshape(*volume.shape, 3))
     core = (centers < np.array([0.75, 0.6, 0.7]) - 0.1).all(axis=-1)
 
-    def lines_carved_through(hull: PhotoHull) -> int:
+    def lines_carved_through(hull: CarvedVolume) -> int:
         left = core & (hull.labels != Label.INCONSISTENT)
         return sum(int((core.any(axis) & ~left.any(axis)).sum()) for axis in range(3))
 
@@ -131,7 +131,7 @@ def test_the_result_lies_inside_the_visual_hull_with_probabilities_as_degrees(te
     hull = probabilistic_space_carving(temple.scene, volume, threshold=0.6)
     occupied = volume.occupied.copy()
     carve_background(temple.scene.packed, occupied, volume)
-    assert not (hull.solid.occupied & ~occupied).any()
+    assert not (hull.with_interior.occupied & ~occupied).any()
     judged = (hull.labels == Label.CONSISTENT) | (hull.labels == Label.INCONSISTENT)
     np.testing.assert_array_equal(np.isfinite(hull.degree), judged)
     np.testing.assert_array_equal(hull.n_views > 0, judged)
@@ -167,7 +167,7 @@ def test_an_empty_volume_is_an_error() -> None:
 
 def test_one_thread_gives_what_two_give(temple: BuiltInScene) -> None:
     volume = CarvingVolume.enclosing(temple.scene.bounds, n_voxels=8000)
-    hulls: list[PhotoHull] = []
+    hulls: list[CarvedVolume] = []
     before = numba.get_num_threads()
     for threads in (1, min(2, numba.config.NUMBA_NUM_THREADS)):
         numba.set_num_threads(threads)

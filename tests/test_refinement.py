@@ -26,11 +26,11 @@ from scenes import (
 from scipy.spatial import cKDTree
 
 import recon3d
-from recon3d import CarvingVolume, EmptyReconstructionError, PhotoHull, Scene, SceneError, View
+from recon3d import CarvedVolume, CarvingVolume, EmptyReconstructionError, Scene, SceneError, View
 from recon3d.datasets.synthetic import Camera
 from recon3d.stereo.fusion import fuse
 from recon3d.stereo.patch_match import DepthMap, Matcher, Matching, plane_normals
-from recon3d.stereo.refinement import sharpen, sharpen_hull
+from recon3d.stereo.refinement import refine
 from recon3d.surface.extraction import mesh_volume
 from recon3d.surface.poisson import Surface, mesh_points, near_points
 from recon3d.volume.carved import Label
@@ -43,15 +43,15 @@ def cloud_of(points: o3d.t.geometry.PointCloud) -> tuple[NDArray[np.float64], ND
     return points.point.positions.numpy(), points.point.normals.numpy()
 
 
-def visual_hull(scene: Scene, n_voxels: int = 12_000) -> PhotoHull:
+def visual_hull(scene: Scene, n_voxels: int = 12_000) -> CarvedVolume:
     return recon3d.visual_hull(scene, CarvingVolume.enclosing(scene.bounds, n_voxels=n_voxels))
 
 
-def hull_around(scene: Scene, distance: Callable[[NDArray[np.float64]], NDArray[np.float64]]) -> PhotoHull:
+def hull_around(scene: Scene, distance: Callable[[NDArray[np.float64]], NDArray[np.float64]]) -> CarvedVolume:
     """What a carving would leave that knew the signed distance (n,) of points (n, 3) to a surface, positive inside."""
     volume = CarvingVolume.enclosing(scene.bounds, n_voxels=12_000)
     field = distance(volume.centers()).reshape(volume.shape).astype(np.float32)
-    hull = PhotoHull.untouched(volume, field)
+    hull = CarvedVolume.untouched(volume, field)
     hull.labels[field > 0] = Label.HIDDEN
     return hull
 
@@ -72,19 +72,19 @@ def ball() -> Scene:
 
 
 @pytest.fixture(scope="module")
-def hull(ball: Scene) -> PhotoHull:
+def hull(ball: Scene) -> CarvedVolume:
     return visual_hull(ball)
 
 
 @pytest.fixture(scope="module")
-def depth_maps(ball: Scene, hull: PhotoHull) -> list[DepthMap]:
-    matcher = Matcher(ball, mesh_volume(hull.solid, distance=hull.distance), QUICK[0])
+def depth_maps(ball: Scene, hull: CarvedVolume) -> list[DepthMap]:
+    matcher = Matcher(ball, mesh_volume(hull.with_interior, distance=hull.distance), QUICK[0])
     return [matcher.depth_map(n) for n in range(len(ball.views))]
 
 
 @pytest.fixture(scope="module")
-def points(ball: Scene, hull: PhotoHull) -> o3d.t.geometry.PointCloud:
-    return sharpen(ball, hull, passes=QUICK)
+def points(ball: Scene, hull: CarvedVolume) -> o3d.t.geometry.PointCloud:
+    return refine(ball, hull, passes=QUICK).points
 
 
 def assert_on_ball(points: o3d.t.geometry.PointCloud, ball: Scene, *, at_least: int) -> None:
@@ -136,7 +136,7 @@ def test_a_tilted_plane_is_flat() -> None:
     normal = np.array([1, 1, 0]) / np.sqrt(2)
     scene = photographs(plate, grain, near(4, 60), supersampling=2)
     thicker = hull_around(scene, lambda places: 0.25 - np.abs(places @ normal))  # by three pixels
-    positions, normals = cloud_of(sharpen(scene, thicker, passes=QUICK))
+    positions, normals = cloud_of(refine(scene, thicker, passes=QUICK).points)
     front = (positions @ normal > 0.05) & (np.abs(positions[:, 2]) < 0.7)
     front &= np.abs(positions @ [-normal[1], normal[0], 0]) < 0.8
     error = np.abs(positions[front] @ normal - 0.15) / scene.pixel_footprint
@@ -191,9 +191,9 @@ def test_as_many_depth_maps_as_views_are_wanted(ball: Scene, depth_maps: list[De
         fuse(ball, depth_maps[1:], QUICK[0])
 
 
-def test_two_views_are_enough_and_one_is_not(ball: Scene, hull: PhotoHull) -> None:
+def test_two_views_are_enough_and_one_is_not(ball: Scene, hull: CarvedVolume) -> None:
     pair = with_views(ball, ball.views[2:4])
-    points = sharpen(pair, hull, passes=QUICK)
+    points = refine(pair, hull, passes=QUICK).points
     error = np.abs(np.linalg.norm(cloud_of(points)[0], axis=1) - 1) / ball.pixel_footprint
     assert len(error) > 1000
     assert np.median(error) < 0.5
@@ -201,53 +201,53 @@ def test_two_views_are_enough_and_one_is_not(ball: Scene, hull: PhotoHull) -> No
     assert (points.point.confidence.numpy() <= 2 / 3 + 1e-6).all()  # a support of two at most
     alone = with_views(ball, ball.views[:1])
     with pytest.raises(SceneError, match="no two views lie 5 to 60 degrees apart"):
-        sharpen(alone, hull, passes=QUICK)
+        refine(alone, hull, passes=QUICK)
 
 
-def test_views_of_different_sizes_match(ball: Scene, hull: PhotoHull) -> None:
+def test_views_of_different_sizes_match(ball: Scene, hull: CarvedVolume) -> None:
     mixed = with_views(ball, [cropped(view, 120 - 5 * n, 90 - 3 * n) for n, view in enumerate(ball.views)])
-    assert_on_ball(sharpen(mixed, hull, passes=QUICK), ball, at_least=3500)
+    assert_on_ball(refine(mixed, hull, passes=QUICK).points, ball, at_least=3500)
 
 
-def test_a_view_without_neighbours_and_a_black_one_do_no_harm(ball: Scene, hull: PhotoHull) -> None:
+def test_a_view_without_neighbours_and_a_black_one_do_no_harm(ball: Scene, hull: CarvedVolume) -> None:
     behind = photographs(ball_mesh(1, 48), grain, near(2, 225)).views[1]
     lonely = with_views(ball, (*ball.views, replace(behind, name="behind")))
-    matcher = Matcher(lonely, mesh_volume(hull.solid, distance=hull.distance), QUICK[0])
+    matcher = Matcher(lonely, mesh_volume(hull.with_interior, distance=hull.distance), QUICK[0])
     assert matcher.neighbours[-1] == []
     assert (matcher.depth_map(6).costs == 2).all()
     dark = replace(ball.views[2], image=np.zeros_like(ball.views[2].image))
     black = with_views(ball, [*ball.views[:2], dark, *ball.views[3:]])
     for scene in (lonely, black):
-        assert_on_ball(sharpen(scene, hull, passes=QUICK), ball, at_least=3000)
+        assert_on_ball(refine(scene, hull, passes=QUICK).points, ball, at_least=3000)
 
 
-def test_views_that_agree_on_nothing_are_an_error(ball: Scene, hull: PhotoHull) -> None:
+def test_views_that_agree_on_nothing_are_an_error(ball: Scene, hull: CarvedVolume) -> None:
     dark = with_views(ball, [replace(view, image=np.zeros_like(view.image)) for view in ball.views])
     with pytest.raises(EmptyReconstructionError, match="no two views agree on any point; 0 pixels found a match"):
-        sharpen(dark, hull, passes=QUICK)
+        refine(dark, hull, passes=QUICK)
 
 
-def test_runs_are_the_same_to_the_last_bit(ball: Scene, hull: PhotoHull, points: o3d.t.geometry.PointCloud) -> None:
-    again = sharpen(ball, hull, passes=QUICK)
+def test_runs_are_the_same_to_the_last_bit(ball: Scene, hull: CarvedVolume, points: o3d.t.geometry.PointCloud) -> None:
+    again = refine(ball, hull, passes=QUICK).points
     for name in ("positions", "normals", "colors", "confidence"):
         np.testing.assert_array_equal(again.point[name].numpy(), points.point[name].numpy())
 
 
 @pytest.mark.parametrize("change", ["unit and place", "order of views"])
 def test_neither_the_world_nor_the_order_of_views_matters_much(
-    ball: Scene, hull: PhotoHull, points: o3d.t.geometry.PointCloud, change: str
+    ball: Scene, hull: CarvedVolume, points: o3d.t.geometry.PointCloud, change: str
 ) -> None:
     scale, shift = (1000.0, np.array([3e5, -5e6, 1e3])) if change == "unit and place" else (1.0, np.zeros(3))
     scene = transformed(ball, scale, shift)
     if change == "order of views":
         scene = with_views(scene, scene.views[::-1])
-    moved = PhotoHull(
+    moved = CarvedVolume(
         CarvingVolume(
             scale * hull.volume.origin + shift, scale * hull.volume.voxel_size, hull.volume.occupied, hull.volume.colors
         ),
         hull.labels, hull.degree, hull.n_views, scale * hull.distance,
     )  # fmt: skip
-    positions = (cloud_of(sharpen(scene, moved, passes=QUICK))[0] - shift) / scale
+    positions = (cloud_of(refine(scene, moved, passes=QUICK).points)[0] - shift) / scale
     expected = cloud_of(points)[0]
     # Rounding may decide between two planes as good, for hardly any point.
     gap = cKDTree(expected).query(positions)[0] / ball.pixel_footprint
@@ -266,27 +266,27 @@ def test_a_pit_that_carving_left_filled_is_found() -> None:
     towards = rotation(np.radians([0, 0, 30]))
     scene = photographs(mesh.rotate(towards, (0, 0, 0)), grain, near(6, 60), supersampling=2)
     filled = hull_around(scene, lambda places: 0.9 - np.abs(places @ towards).max(axis=1))
-    points, carved = sharpen_hull(scene, filled)
+    points, carved = refine(scene, filled)
     floor = np.array([(0.3, a, b) for a in np.linspace(-0.3, 0.3, 7) for b in np.linspace(-0.4, 0.1, 7)]) @ towards.T
     distance = cKDTree(cloud_of(points)[0]).query(floor)[0] / scene.pixel_footprint
     assert distance.max() < 1.5  # of points two pixels apart
     middle = np.array([(0.6, a, b) for a in (-0.2, 0.0, 0.2) for b in (-0.2, 0.0, 0.2)]) @ towards.T
     voxels = tuple(np.floor((middle - filled.volume.origin) / filled.volume.voxel_size).astype(int).T)
-    assert filled.solid.occupied[voxels].all()
-    assert not carved.solid.occupied[voxels].any()
+    assert filled.with_interior.occupied[voxels].all()
+    assert not carved.with_interior.occupied[voxels].any()
 
 
 @pytest.fixture(scope="module")
-def ring() -> tuple[Scene, PhotoHull, o3d.t.geometry.PointCloud]:
+def ring() -> tuple[Scene, CarvedVolume, o3d.t.geometry.PointCloud]:
     """A ball from all around, its hull and its points: none where every view looks at a grazing angle, nor below."""
     scene = photographs(ball_mesh(1, 48), grain, near(16, 360), supersampling=2)
     hull = visual_hull(scene)
-    return scene, hull, sharpen(scene, hull, passes=QUICK)
+    return scene, hull, refine(scene, hull, passes=QUICK).points
 
 
 @pytest.mark.parametrize("surface", ["poisson", "graph-cut"])
 def test_the_hull_closes_the_mesh_where_there_are_no_points(
-    ring: tuple[Scene, PhotoHull, o3d.t.geometry.PointCloud], surface: Surface
+    ring: tuple[Scene, CarvedVolume, o3d.t.geometry.PointCloud], surface: Surface
 ) -> None:
     scene, hull, points = ring
     spacing = 1.5 * scene.pixel_footprint
@@ -311,7 +311,7 @@ def test_near_points_are_within_two_spacings() -> None:
 
 
 def test_a_mesh_does_not_depend_on_the_run_nor_on_the_place(
-    ring: tuple[Scene, PhotoHull, o3d.t.geometry.PointCloud],
+    ring: tuple[Scene, CarvedVolume, o3d.t.geometry.PointCloud],
 ) -> None:
     _, hull, points = ring
     one, two = (np.asarray(mesh_points(points, hull, spacing=0.1).vertices) for _ in range(2))
@@ -325,7 +325,7 @@ def test_a_mesh_does_not_depend_on_the_run_nor_on_the_place(
 
 @pytest.mark.parametrize("wrong", [{"surface": "ball-pivoting"}, {"spacing": 0}, {"spacing": np.nan}])
 def test_a_mesh_of_points_wants_a_known_surface_and_a_length(
-    hull: PhotoHull, points: o3d.t.geometry.PointCloud, wrong: dict[str, Any]
+    hull: CarvedVolume, points: o3d.t.geometry.PointCloud, wrong: dict[str, Any]
 ) -> None:
     with pytest.raises(ValueError, match=r"expected (surface poisson, graph-cut|a positive spacing), got"):
         mesh_points(points, hull, **wrong)
@@ -343,6 +343,6 @@ def test_matching_says_what_it_expects(wrong: dict[str, Any]) -> None:
         Matching(**wrong)
 
 
-def test_at_least_one_pass_is_wanted(ball: Scene, hull: PhotoHull) -> None:
+def test_at_least_one_pass_is_wanted(ball: Scene, hull: CarvedVolume) -> None:
     with pytest.raises(ValueError, match="expected at least one pass of matching"):
-        sharpen(ball, hull, passes=())
+        refine(ball, hull, passes=())

@@ -29,7 +29,7 @@ from recon3d.consistency.ratio import FTest, LikelihoodRatio, OutlierRejection
 from recon3d.consistency.specular import Specular
 from recon3d.datasets.synthetic import BuiltInScene
 from recon3d.scene.silhouettes import without_silhouettes
-from recon3d.volume.carved import PhotoHull
+from recon3d.volume.carved import CarvedVolume
 from recon3d.volume.dense import CarvingVolume
 
 
@@ -242,7 +242,7 @@ def test_senseless_options_are_refused(kind: Callable[..., ConsistencyTest], opt
 @pytest.mark.parametrize("method", [voxel_coloring, generalized_voxel_coloring])
 @pytest.mark.parametrize("name", TESTS)
 def test_every_test_carves_some_of_the_temple_and_keeps_some(
-    name: str, method: Callable[..., PhotoHull], temple: BuiltInScene
+    name: str, method: Callable[..., CarvedVolume], temple: BuiltInScene
 ) -> None:
     # Silhouettes would leave some defaults, made for larger photographs, little to carve.
     scene = without_silhouettes(temple.scene)
@@ -259,7 +259,7 @@ def test_bricks_hand_a_test_the_same_directions_and_windows(test: ConsistencyTes
     volume = CarvingVolume.enclosing(temple.scene.bounds, n_voxels=20_000)
     dense = generalized_voxel_coloring(temple.scene, volume, test)
     sparse = fine_generalized_voxel_coloring(temple.scene, volume.voxel_size, test).dense()
-    np.testing.assert_array_equal(sparse.occupied, dense.solid.occupied)
+    np.testing.assert_array_equal(sparse.occupied, dense.with_interior.occupied)
 
 
 def test_space_carving_fills_what_a_test_asks_for(temple: BuiltInScene) -> None:

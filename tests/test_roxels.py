@@ -19,7 +19,7 @@ from recon3d.rendering.orbit import look_at
 from recon3d.scene.bounds import make_bounds
 from recon3d.scene.scene import Scene
 from recon3d.scene.silhouettes import without_silhouettes
-from recon3d.volume.carved import Label, PhotoHull
+from recon3d.volume.carved import CarvedVolume, Label
 from recon3d.volume.dense import CarvingVolume
 
 ALL_ROUND = cameras(8, arc=360)
@@ -48,7 +48,7 @@ def wall_behind_a_pane(opacity: float) -> Scene:
     return replace(covered, views=tuple(views), bounds=make_bounds([-1.8, -1.4, -1.1], [1.8, 1.4, 1.1]))
 
 
-def opacity_across(hull: PhotoHull, low: float, high: float) -> float:
+def opacity_across(hull: CarvedVolume, low: float, high: float) -> float:
     """Mean opacity along z of all that lies between two heights, over the middle of the pane."""
     volume = hull.volume
     centers = volume.centers(np.ones(volume.shape, np.bool_)).reshape(*volume.shape, 3)
@@ -76,7 +76,7 @@ def test_the_ball_is_found_near_its_surface_in_its_colours() -> None:
     scene = photographs(mesh, taken_by=ALL_ROUND)
     volume = CarvingVolume.enclosing(scene.bounds, n_voxels=8000)
     hull = roxels(scene, volume)
-    surface = hull.solid.surface()
+    surface = hull.with_interior.surface()
     # A pixel is 0.083 units.
     assert np.median(distance_to_mesh(volume.centers(surface), mesh)) < 0.083 + volume.voxel_size * np.sqrt(3) / 2
     seen = np.concatenate([view.image[view.silhouette] for view in scene.views])
@@ -89,7 +89,7 @@ def test_the_result_lies_inside_the_visual_hull_with_opacities_as_degrees(temple
     hull = roxels(temple.scene, volume, threshold=0.6, rounds=6)
     occupied = volume.occupied.copy()
     carve_background(temple.scene.packed, occupied, volume)
-    assert not (hull.solid.occupied & ~occupied).any()
+    assert not (hull.with_interior.occupied & ~occupied).any()
     judged = (hull.labels == Label.CONSISTENT) | (hull.labels == Label.INCONSISTENT)
     np.testing.assert_array_equal(np.isfinite(hull.degree), judged)
     assert (hull.degree[hull.volume.occupied] >= 0.6).all()
@@ -126,7 +126,7 @@ def test_a_single_view_no_silhouettes_and_a_camera_inside_still_run() -> None:
 
 def test_one_thread_gives_what_two_give(temple: BuiltInScene) -> None:
     volume = CarvingVolume.enclosing(temple.scene.bounds, n_voxels=8000)
-    hulls: list[PhotoHull] = []
+    hulls: list[CarvedVolume] = []
     before = numba.get_num_threads()
     for threads in (1, min(2, numba.config.NUMBA_NUM_THREADS)):
         numba.set_num_threads(threads)

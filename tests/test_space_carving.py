@@ -22,7 +22,7 @@ from recon3d.evaluation.distances import distance_to_mesh
 from recon3d.scene.bounds import make_bounds
 from recon3d.scene.scene import Scene
 from recon3d.scene.silhouettes import without_silhouettes
-from recon3d.volume.carved import Label, PhotoHull
+from recon3d.volume.carved import CarvedVolume, Label
 from recon3d.volume.dense import CarvingVolume
 
 ALL_ROUND = cameras(8, arc=360)
@@ -95,7 +95,7 @@ def test_the_temple_is_found_closer_than_its_visual_hull(temple: BuiltInScene) -
 def test_the_result_lies_inside_the_visual_hull(temple: BuiltInScene, test: StandardDeviation) -> None:
     volume = CarvingVolume.enclosing(temple.scene.bounds, n_voxels=20_000)
     hull = space_carving(temple.scene, volume, test)
-    assert not (hull.solid.occupied & ~visual_hull(temple.scene, volume)).any()
+    assert not (hull.with_interior.occupied & ~visual_hull(temple.scene, volume)).any()
 
 
 @pytest.mark.parametrize("mesh", [ball_mesh(), box_mesh(1.5, 1.2, 1.4), two_planes_mesh()])
@@ -107,15 +107,15 @@ def test_the_photo_hull_holds_the_object_when_the_test_is_monotone(mesh: object)
     inside = np.unique(np.floor((points - volume.origin) / volume.voxel_size).astype(int), axis=0)
     seen = inside[visual_hull(scene, volume)[tuple(inside.T)]]
     assert len(seen) > 0.7 * len(inside)
-    assert hull.solid.occupied[tuple(seen.T)].all()
+    assert hull.with_interior.occupied[tuple(seen.T)].all()
 
 
 def test_a_test_that_accepts_everything_leaves_the_visual_hull() -> None:
     scene = photographs(ball_mesh(), taken_by=ALL_ROUND)
     volume = CarvingVolume.enclosing(scene.bounds, n_voxels=4000)
     hull = space_carving(scene, volume, AcceptEverything())
-    np.testing.assert_array_equal(hull.solid.occupied, visual_hull(scene, volume))
-    assert not (hull.volume.occupied & ~hull.solid.surface()).any()
+    np.testing.assert_array_equal(hull.with_interior.occupied, visual_hull(scene, volume))
+    assert not (hull.volume.occupied & ~hull.with_interior.surface()).any()
 
 
 def test_what_is_left_is_consistent_on_all_that_shows_it() -> None:
@@ -138,7 +138,7 @@ def test_a_second_carving_of_the_result_changes_nothing() -> None:
     scene = photographs(two_planes_mesh(), taken_by=ALL_ROUND)
     volume = CarvingVolume.enclosing(scene.bounds, n_voxels=4000)
     once = space_carving(scene, volume, SmallRange(40.0))
-    twice = space_carving(scene, volume.with_occupancy(once.solid.occupied), SmallRange(40.0))
+    twice = space_carving(scene, volume.with_occupancy(once.with_interior.occupied), SmallRange(40.0))
     np.testing.assert_array_equal(twice.volume.occupied, once.volume.occupied)
 
 
@@ -146,8 +146,8 @@ def test_fewer_rounds_leave_more_voxels() -> None:
     scene = photographs(two_planes_mesh(), taken_by=ALL_ROUND)
     volume = CarvingVolume.enclosing(scene.bounds, n_voxels=8000)
     one, all_of_them = (space_carving(scene, volume, SmallRange(30.0), max_rounds=n) for n in (1, 50))
-    assert one.solid.n_occupied >= all_of_them.solid.n_occupied
-    assert not (all_of_them.solid.occupied & ~one.solid.occupied).any()
+    assert one.with_interior.n_occupied >= all_of_them.with_interior.n_occupied
+    assert not (all_of_them.with_interior.occupied & ~one.with_interior.occupied).any()
 
 
 def test_candidates_that_touch_nothing_certain_are_carved() -> None:
@@ -193,7 +193,7 @@ def test_a_camera_inside_the_volume_sees_the_box_before_it() -> None:
 
 def test_one_thread_gives_what_two_give(temple: BuiltInScene) -> None:
     volume = CarvingVolume.enclosing(temple.scene.bounds, n_voxels=8000)
-    hulls: list[PhotoHull] = []
+    hulls: list[CarvedVolume] = []
     before = numba.get_num_threads()
     for threads in (1, min(2, numba.config.NUMBA_NUM_THREADS)):
         numba.set_num_threads(threads)

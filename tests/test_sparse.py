@@ -66,7 +66,7 @@ def test_the_sparse_mesh_is_the_dense_one(carve: bool, known: bool, smoothing: i
         sparse = replace(sparse, distance=None)
     mesh = mesh_sparse(sparse, smoothing=smoothing)
     other = mesh_volume(
-        dense.solid, colors_from=dense.volume, distance=dense.distance if known else None, smoothing=smoothing
+        dense.with_interior, colors_from=dense.volume, distance=dense.distance if known else None, smoothing=smoothing
     )
     assert (edge_counts(mesh) == 2).all()
     assert len(mesh.triangles) == len(other.triangles)
@@ -120,7 +120,7 @@ def test_sparse_volumes_show_themselves(temple: BuiltInScene) -> None:
     assert picture.shape == dense.volume.picture().shape
     # The same outlines; the dense picture leaves out what no pixel sees.
     white = (picture == 255).all(axis=2)
-    assert (white == (dense.solid.picture() == 255).all(axis=2)).mean() > 0.99
+    assert (white == (dense.with_interior.picture() == 255).all(axis=2)).mean() > 0.99
     assert "SparseVolume" in hull._repr_html_()
 
 

@@ -18,7 +18,7 @@ from recon3d.rendering.ray_caster import RayCaster
 from recon3d.scene.scene import Scene
 from recon3d.surface.extraction import nearest_colors
 from recon3d.surface.vertex_colors import _EDGE_WEIGHT, _trust, color_from_views
-from recon3d.surface.visibility import count_seeing_views, seeing_views
+from recon3d.surface.visibility import count_seeing_views, vertex_visibility
 from recon3d.volume.dense import CarvingVolume
 
 
@@ -169,7 +169,7 @@ def test_highlights_in_a_minority_of_views_leave_no_trace() -> None:
     shining, _ = color_from_views(mesh, replace(scene, views=tuple(views)))
     seen = support > 2
     struck = np.zeros(len(seen), np.bool_)
-    sees = seeing_views(mesh, scene)
+    sees = vertex_visibility(mesh, scene)
     for n, (before, after) in enumerate(zip(scene.views, views, strict=True)):
         column, row = np.rint(before.project(np.asarray(mesh.vertices))[0]).astype(int).T
         row, column = np.clip(row, 0, before.height - 1), np.clip(column, 0, before.width - 1)

@@ -69,8 +69,8 @@ def test_the_visual_hull_holds_the_object(temple: BuiltInScene) -> None:
 def test_more_views_leave_less(temple: BuiltInScene) -> None:
     scene = temple.scene
     volume = volume_of(scene, 50_000)
-    few = visual_hull(replace(scene, views=scene.views[:3]), volume).solid.occupied
-    more = visual_hull(scene, volume).solid.occupied
+    few = visual_hull(replace(scene, views=scene.views[:3]), volume).with_interior.occupied
+    more = visual_hull(scene, volume).with_interior.occupied
     assert (more <= few).all()
     assert more.sum() < few.sum()
 
@@ -78,8 +78,8 @@ def test_more_views_leave_less(temple: BuiltInScene) -> None:
 def test_the_hull_of_a_ball_is_round_to_a_fraction_of_a_voxel(ball: Scene) -> None:
     volume = volume_of(ball, 30_000)
     hull = visual_hull(ball, volume)
-    mesh = mesh_volume(hull.solid, distance=hull.distance, smoothing=0)
-    blocky = mesh_volume(hull.solid, smoothing=0)
+    mesh = mesh_volume(hull.with_interior, distance=hull.distance, smoothing=0)
+    blocky = mesh_volume(hull.with_interior, smoothing=0)
     seen = [np.linalg.norm(np.asarray(m.vertices), axis=1)[count_seeing_views(m, ball) >= 3] for m in (mesh, blocky)]
     # The hull of twelve cones is itself not quite a ball.
     assert seen[0].std() < 0.2 * volume.voxel_size
@@ -94,7 +94,10 @@ def test_a_wrong_silhouette_is_tolerated(temple: BuiltInScene) -> None:
     volume = volume_of(scene, 30_000)
     with pytest.raises(EmptyReconstructionError, match=r"view01\.png alone leaves 0\.0%"):
         visual_hull(wrong, volume)
-    assert visual_hull(wrong, volume, tolerance=1).solid.n_occupied >= visual_hull(scene, volume).solid.n_occupied
+    assert (
+        visual_hull(wrong, volume, tolerance=1).with_interior.n_occupied
+        >= visual_hull(scene, volume).with_interior.n_occupied
+    )
     with pytest.raises(ValueError, match="expected a tolerance of 0 to 7"):
         visual_hull(scene, volume, tolerance=8)
 
@@ -123,7 +126,7 @@ def test_what_lies_outside_an_image_is_unknown(temple: BuiltInScene) -> None:
     beyond = volume.centers()[:, :]
     pixels, _ = view.project(beyond)
     outside = (pixels[:, 0] > half).reshape(volume.shape)
-    assert alone.solid.occupied[outside].all()
+    assert alone.with_interior.occupied[outside].all()
 
 
 def test_the_item_buffer_is_brute_force_ray_casting_after_every_round() -> None:
@@ -170,12 +173,12 @@ def test_the_photo_hull_lies_between_the_object_and_the_visual_hull(temple: Buil
     volume = volume_of(scene, 60_000)
     hull = visual_hull(scene, volume)
     carved = generalized_voxel_coloring(scene, volume, StandardDeviation(threshold=70))
-    assert (carved.solid.occupied <= hull.solid.occupied).all()
+    assert (carved.with_interior.occupied <= hull.with_interior.occupied).all()
     # A voxel wholly inside the object is never visible, so nothing can carve it.
     depth = distance_to_mesh(volume.centers(), temple.ground_truth).reshape(volume.shape)
-    deep = hull.solid.occupied & (depth > 2.5 * volume.voxel_size) & _inside(temple, volume)
+    deep = hull.with_interior.occupied & (depth > 2.5 * volume.voxel_size) & _inside(temple, volume)
     assert deep.any()
-    assert carved.solid.occupied[deep].all()
+    assert carved.with_interior.occupied[deep].all()
 
 
 def _inside(temple: BuiltInScene, volume: CarvingVolume) -> NDArray[np.bool_]:
@@ -219,9 +222,10 @@ def test_votes_make_the_hull_better_and_never_larger() -> None:
     scene = built_in.scene
     volume = volume_of(scene, 300_000)
     hull, voted = visual_hull(scene, volume), vote_carving(scene, volume)
-    assert (voted.solid.occupied <= hull.solid.occupied).all()
+    assert (voted.with_interior.occupied <= hull.with_interior.occupied).all()
     before, after = (
-        evaluate(mesh_volume(h.solid, distance=h.distance), built_in.ground_truth, spacing=5e-4) for h in (hull, voted)
+        evaluate(mesh_volume(h.with_interior, distance=h.distance), built_in.ground_truth, spacing=5e-4)
+        for h in (hull, voted)
     )
     assert after.accuracy_mm < before.accuracy_mm
     assert after.completeness_percent > before.completeness_percent + 5
@@ -299,8 +303,8 @@ def test_what_a_monotone_test_accepts_is_never_carved(temple: BuiltInScene) -> N
     kept = (carved.labels == Label.CONSISTENT) | (carved.labels == Label.HIDDEN)
     # Carving more than the photo hull would break the largest set that is consistent: carving it again changes nothing.
     again = generalized_voxel_coloring(temple.scene, volume.with_occupancy(kept), in_range)
-    np.testing.assert_array_equal(again.solid.occupied, carved.solid.occupied)
-    assert kept.sum() < visual_hull(temple.scene, volume).solid.n_occupied
+    np.testing.assert_array_equal(again.with_interior.occupied, carved.with_interior.occupied)
+    assert kept.sum() < visual_hull(temple.scene, volume).with_interior.n_occupied
 
 
 def test_what_is_a_pixel_thin_stays_on_its_side_of_the_outline() -> None:

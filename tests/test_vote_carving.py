@@ -107,11 +107,11 @@ def test_the_hull_of_a_field_is_what_is_positive_coloured_where_it_is_seen(view:
     assert (hull.labels[..., :6] == Label.BACKGROUND).all()
     assert (hull.labels[2:-2, 2:-2, 6] == Label.CONSISTENT).all()
     assert (hull.labels[2:-2, 2:-2, 7:] == Label.HIDDEN).all()
-    assert hull.solid.n_occupied == SIDE * SIDE * 10
+    assert hull.with_interior.n_occupied == SIDE * SIDE * 10
     np.testing.assert_array_equal(hull.volume.colors[3, 8, 6], [200, 0, 0])
     np.testing.assert_array_equal(hull.volume.colors[12, 8, 6], [0, 100, 0])
     assert hull.distance is not None
     np.testing.assert_array_equal(hull.distance, field)
     assert hull.distance.dtype == np.float32
     nothing = hull_of_field(-np.ones(volume.shape), np.zeros(volume.shape, np.uint8), volume, scene.packed)
-    assert nothing.solid.n_occupied == 0
+    assert nothing.with_interior.n_occupied == 0

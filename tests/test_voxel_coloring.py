@@ -35,7 +35,7 @@ from recon3d.scene.bounds import bounds_corners, make_bounds
 from recon3d.scene.scene import Scene
 from recon3d.scene.silhouettes import without_silhouettes
 from recon3d.scene.view import View
-from recon3d.volume.carved import Label, PhotoHull
+from recon3d.volume.carved import CarvedVolume, Label
 from recon3d.volume.dense import CarvingVolume
 
 
@@ -91,7 +91,7 @@ def direction_of(scene: Scene, volume: CarvingVolume) -> NDArray[np.float64]:
     return found.direction
 
 
-def assert_agree(hull: PhotoHull, expected: Result) -> None:
+def assert_agree(hull: CarvedVolume, expected: Result) -> None:
     """Labels, degrees, numbers of views and colours are the same, bit by bit."""
     shape = hull.volume.shape
     labels = np.full(shape, Label.UNSEEN, np.uint8)
@@ -335,7 +335,7 @@ def test_labels_degree_and_views_are_consistent_with_each_other(temple: BuiltInS
     np.testing.assert_array_equal(hull.n_views > 0, judged)
     np.testing.assert_array_equal(hull.volume.occupied, hull.labels == Label.CONSISTENT)
     np.testing.assert_array_equal(
-        hull.solid.occupied, (hull.labels == Label.CONSISTENT) | (hull.labels == Label.HIDDEN)
+        hull.with_interior.occupied, (hull.labels == Label.CONSISTENT) | (hull.labels == Label.HIDDEN)
     )
     assert hull.n_views.max() <= len(temple.scene.views)
     assert not hull.volume.colors[~hull.volume.occupied].any()
@@ -343,7 +343,7 @@ def test_labels_degree_and_views_are_consistent_with_each_other(temple: BuiltInS
     for name, number in hull.counts().items():
         assert f"{number:,} {name}" in hull.count_text()
         assert hull.summary()[name] == f"{number:,}"
-    assert "PhotoHull" in hull._repr_html_()
+    assert "CarvedVolume" in hull._repr_html_()
 
 
 def test_progress_counts_the_layers_to_the_last() -> None:

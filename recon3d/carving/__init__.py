@@ -13,13 +13,13 @@ from recon3d.carving.visual_hull import visual_hull
 from recon3d.carving.vote_carving import vote_carving
 from recon3d.carving.voxel_coloring import voxel_coloring
 from recon3d.scene.neighbours import matching_neighbours
-from recon3d.volume.carved import Label, PhotoHull
+from recon3d.volume.carved import CarvedVolume, Label
 
 
 class Method(NamedTuple):
     """A carving algorithm: ``carve(scene, volume, test=None, *, progress=None, **options)``."""
 
-    carve: Callable[..., PhotoHull]
+    carve: Callable[..., CarvedVolume]
     one_sided: bool = False
     """Whether the views must satisfy the ordinal visibility constraint."""
     uses_test: bool = True
@@ -38,9 +38,9 @@ METHODS: dict[str, Method] = {
 
 __all__ = [
     "METHODS",
+    "CarvedVolume",
     "Label",
     "Method",
-    "PhotoHull",
     "SweepDirection",
     "fine_generalized_voxel_coloring",
     "fine_visual_hull",

@@ -10,7 +10,7 @@ from recon3d.carving.item_buffer import ItemBuffer
 from recon3d.carving.visible import color_visible
 from recon3d.kernels.matching import fuse_depths
 from recon3d.scene.packed import PackedViews
-from recon3d.volume.carved import Label, PhotoHull
+from recon3d.volume.carved import CarvedVolume, Label
 from recon3d.volume.dense import CarvingVolume
 
 MIN_DEVIATION = 1.0
@@ -19,9 +19,9 @@ MIN_DEVIATION = 1.0
 
 def hull_of_field(
     field: NDArray[np.float32], carved: NDArray[np.integer], volume: CarvingVolume, views: PackedViews
-) -> PhotoHull:
+) -> CarvedVolume:
     """Hull of the voxels with a positive signed distance (nx, ny, nz), coloured; labels of the others are given."""
-    hull = PhotoHull.untouched(volume, field.astype(np.float32))
+    hull = CarvedVolume.untouched(volume, field.astype(np.float32))
     hull.labels[...] = np.where(field > 0, Label.HIDDEN, carved)
     color_visible(hull, ItemBuffer(views, volume), field > 0)
     return hull

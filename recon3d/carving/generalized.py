@@ -20,7 +20,7 @@ from recon3d.errors import EmptyReconstructionError
 from recon3d.scene.packed import PackedViews
 from recon3d.scene.scene import Scene
 from recon3d.tasks import Progress
-from recon3d.volume.carved import Label, PhotoHull
+from recon3d.volume.carved import CarvedVolume, Label
 from recon3d.volume.dense import CarvingVolume
 
 
@@ -33,7 +33,7 @@ def generalized_voxel_coloring(
     max_rounds: int = 1000,
     progress: Progress | None = None,
     observer: Observer | None = None,
-) -> PhotoHull:
+) -> CarvedVolume:
     """Carve what the views that see it do not agree on, until nothing changes.
 
     Starts from the visual hull where there are silhouettes, else from the volume. In a round, the voxels whose visible
@@ -53,7 +53,7 @@ def generalized_voxel_coloring(
 
     Returns
     -------
-    PhotoHull
+    CarvedVolume
         Consistent: the visible voxels that stayed, coloured; hidden: those inside that no pixel sees.
 
     Raises
@@ -71,7 +71,7 @@ def generalized_voxel_coloring(
     known = any(view.silhouette is not None for view in scene.views)
     field = hull_distance(scene, volume) if known else None
     occupied = volume.occupied & (field > 0) if field is not None else volume.occupied.copy()
-    hull = PhotoHull.untouched(volume, field)
+    hull = CarvedVolume.untouched(volume, field)
     hull.labels[volume.occupied & ~occupied] = Label.BACKGROUND
     started = int(np.count_nonzero(occupied))
 
@@ -143,7 +143,7 @@ class _DenseState:
 
     def __init__(
         self,
-        hull: PhotoHull,
+        hull: CarvedVolume,
         occupied: NDArray[np.bool_],
         buffer: ItemBuffer,
         connectivity: Connectivity,

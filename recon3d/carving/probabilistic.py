@@ -13,7 +13,7 @@ from recon3d.kernels.existence import blend, exist
 from recon3d.scene.packed import PackedViews
 from recon3d.scene.scene import Scene
 from recon3d.tasks import Progress
-from recon3d.volume.carved import Label, PhotoHull
+from recon3d.volume.carved import CarvedVolume, Label
 from recon3d.volume.dense import CarvingVolume
 
 _BINS = 8  # a channel, of the histogram of independent colours
@@ -36,7 +36,7 @@ def probabilistic_space_carving(
     rounds: int = 12,
     outliers: float = 0.01,
     progress: Progress | None = None,
-) -> PhotoHull:
+) -> CarvedVolume:
     """Voxels that more probably exist than not, given what the views that may see them show.
 
     Where voxel v exists, each view j that sees it shows its one unknown colour with normal noise; any other view,
@@ -69,7 +69,7 @@ def probabilistic_space_carving(
 
     Returns
     -------
-    PhotoHull
+    CarvedVolume
         Its degree is the probability p; a voxel that no view sees with a probability above 0.3 is hidden.
 
     Raises
@@ -100,7 +100,7 @@ def probabilistic_space_carving(
         raise ValueError(f"expected outliers in [0, 1), got {outliers}")
     views = scene.packed
 
-    hull = PhotoHull.untouched(volume)
+    hull = CarvedVolume.untouched(volume)
     occupied = volume.occupied.copy()
     carve_background(views, occupied, volume)
     hull.labels[volume.occupied & ~occupied] = Label.BACKGROUND

@@ -11,7 +11,7 @@ from recon3d.errors import EmptyReconstructionError
 from recon3d.kernels.responsibility import respond
 from recon3d.scene.scene import Scene
 from recon3d.tasks import Progress
-from recon3d.volume.carved import Label, PhotoHull
+from recon3d.volume.carved import CarvedVolume, Label
 from recon3d.volume.dense import CarvingVolume
 
 _HIDDEN = 0.1  # a voxel that less of the light reaches in every view is hidden
@@ -27,7 +27,7 @@ def roxels(
     threshold: float = 0.5,
     rounds: int = 12,
     progress: Progress | None = None,
-) -> PhotoHull:
+) -> CarvedVolume:
     """Colour and opacity of every voxel, so that opaque, half-transparent and empty places together explain the views.
 
     A ray meets voxels 1, 2, ... with opacities a and colours c, and shows colour I of the pixel::
@@ -59,7 +59,7 @@ def roxels(
 
     Returns
     -------
-    PhotoHull
+    CarvedVolume
         Its degree is the opacity. Voxels below the threshold are inconsistent, or hidden where less than a tenth of the
         light reaches them in every view.
 
@@ -92,7 +92,7 @@ def roxels(
         raise ValueError(f"expected rounds of at least 1, got {rounds}")
     views = scene.packed
 
-    hull = PhotoHull.untouched(volume)
+    hull = CarvedVolume.untouched(volume)
     occupied = volume.occupied.copy()
     carve_background(views, occupied, volume)
     hull.labels[volume.occupied & ~occupied] = Label.BACKGROUND

@@ -20,7 +20,7 @@ from recon3d.kernels.sweeps import claim, gather_visible, visible_pixels
 from recon3d.scene.packed import PackedViews
 from recon3d.scene.scene import Scene
 from recon3d.tasks import Progress
-from recon3d.volume.carved import Label, PhotoHull
+from recon3d.volume.carved import CarvedVolume, Label
 from recon3d.volume.dense import CarvingVolume
 
 _FREE = np.iinfo(np.int32).max  # a pixel that no layer has claimed
@@ -38,7 +38,7 @@ def space_carving(
     connectivity: Connectivity = 26,
     progress: Progress | None = None,
     observer: Observer | None = None,
-) -> PhotoHull:
+) -> CarvedVolume:
     """Carve the voxels on which the views that see them disagree, until all that is left is photo-consistent.
 
     A plane sweeps the volume along +x, -x, +y, -y, +z and -z. In each sweep the cameras on the near side of the plane
@@ -64,7 +64,7 @@ def space_carving(
 
     Returns
     -------
-    PhotoHull
+    CarvedVolume
         Its volume holds the visible, accepted voxels; what no view can see is hidden, and part of ``solid``.
 
     Raises
@@ -79,7 +79,7 @@ def space_carving(
     voxel or two. Voxels without an empty face neighbour are not visible. What the pixels of the other sweeps show is
     known from their latest run, which never shows more than there is to see, since voxels are only ever removed.
 
-    Needs 5 bytes a pixel and view, and a layer's pixels, beside the images and ``PhotoHull``'s 11 bytes a voxel.
+    Needs 5 bytes a pixel and view, and a layer's pixels, beside the images and ``CarvedVolume``'s 11 bytes a voxel.
 
     References
     ----------
@@ -94,7 +94,7 @@ def space_carving(
     test = FuzzyAdaptiveHysteresis() if test is None else test
     views = scene.packed
 
-    hull = PhotoHull.untouched(volume)
+    hull = CarvedVolume.untouched(volume)
     occupied = volume.occupied.copy()
     carve_background(views, occupied, volume)
     hull.labels[volume.occupied & ~occupied] = Label.BACKGROUND
@@ -128,7 +128,7 @@ class _Carving:
         self,
         views: PackedViews,
         scene: Scene,
-        hull: PhotoHull,
+        hull: CarvedVolume,
         occupied: NDArray[np.bool_],
         test: ConsistencyTest,
         observer: Observer | None,

@@ -7,10 +7,10 @@ from numpy.typing import NDArray
 
 from recon3d.carving.item_buffer import ItemBuffer
 from recon3d.kernels.ragged import mean_colors
-from recon3d.volume.carved import Label, PhotoHull
+from recon3d.volume.carved import CarvedVolume, Label
 
 
-def color_visible(hull: PhotoHull, buffer: ItemBuffer, occupied: NDArray[np.bool_]) -> None:
+def color_visible(hull: CarvedVolume, buffer: ItemBuffer, occupied: NDArray[np.bool_]) -> None:
     """Accept the occupied voxels that some pixel sees, in the mean colour of its pixels."""
     buffer.advance(occupied)
     visible = buffer.visible()

@@ -10,7 +10,7 @@ from recon3d.carving.visible import color_visible
 from recon3d.consistency.base import ConsistencyTest
 from recon3d.scene.scene import Scene
 from recon3d.tasks import Progress
-from recon3d.volume.carved import Label, PhotoHull
+from recon3d.volume.carved import CarvedVolume, Label
 from recon3d.volume.dense import CarvingVolume
 
 
@@ -21,7 +21,7 @@ def visual_hull(
     *,
     tolerance: int = 0,
     progress: Progress | None = None,
-) -> PhotoHull:
+) -> CarvedVolume:
     """Intersect the silhouettes' cones, to a fraction of a voxel.
 
     A voxel is inside when the signed distance of its centre's projection to every silhouette's outline is positive.
@@ -35,7 +35,7 @@ def visual_hull(
 
     Returns
     -------
-    PhotoHull
+    CarvedVolume
         Consistent: the voxels that some pixel sees, with the mean colour of its pixels; hidden: the others inside.
 
     Raises
@@ -50,7 +50,7 @@ def visual_hull(
     field = hull_distance(scene, volume, tolerance=tolerance)
     views = scene.packed
     occupied = volume.occupied & (field > 0)
-    hull = PhotoHull.untouched(volume, field)
+    hull = CarvedVolume.untouched(volume, field)
     hull.labels[volume.occupied] = np.where(occupied[volume.occupied], Label.HIDDEN, Label.BACKGROUND)
     color_visible(hull, ItemBuffer(views, volume), occupied)
     if progress:

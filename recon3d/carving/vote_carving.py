@@ -18,7 +18,7 @@ from recon3d.scene.neighbours import matching_neighbours
 from recon3d.scene.packed import PackedViews
 from recon3d.scene.scene import Scene
 from recon3d.tasks import Progress
-from recon3d.volume.carved import Label, PhotoHull
+from recon3d.volume.carved import CarvedVolume, Label
 from recon3d.volume.dense import CarvingVolume
 
 _FINEST = 2.0  # pixel footprints; a window is twice as wide
@@ -58,7 +58,7 @@ def vote_carving(
     min_score: float = 0.6,
     truncation: float = 4.0,
     progress: Progress | None = None,
-) -> PhotoHull:
+) -> CarvedVolume:
     """Carve the visual hull where neighbouring views agree that the surface lies deeper.
 
     A threshold on all pixels of a voxel must survive the two most different of its views, so it either keeps
@@ -79,7 +79,7 @@ def vote_carving(
 
     Returns
     -------
-    PhotoHull
+    CarvedVolume
         Consistent: the voxels that some pixel sees, coloured; hidden: the others inside; inconsistent: carved by
         votes. ``distance`` is the signed distance to the surface.
 

@@ -19,7 +19,7 @@ from recon3d.kernels.lattice import grow_consistent
 from recon3d.kernels.ragged import mean_colors
 from recon3d.scene.scene import Scene
 from recon3d.tasks import Progress
-from recon3d.volume.carved import Label, PhotoHull
+from recon3d.volume.carved import CarvedVolume, Label
 from recon3d.volume.dense import CarvingVolume
 
 Layering = Literal["slabs", "voxels"]
@@ -34,7 +34,7 @@ def voxel_coloring(
     layering: Layering = "slabs",
     progress: Progress | None = None,
     observer: Observer | None = None,
-) -> PhotoHull:
+) -> CarvedVolume:
     """Colour the voxels that the views agree on, visiting each once, from the cameras into the volume.
 
     Voxels of a layer (a slab one voxel thick) do not hide each other: the layer is judged against the pixels that
@@ -55,7 +55,7 @@ def voxel_coloring(
 
     Returns
     -------
-    PhotoHull
+    CarvedVolume
         Its volume holds the accepted voxels: the visible surface, without the hidden inside.
 
     Raises
@@ -74,7 +74,7 @@ def voxel_coloring(
     direction = require_sweep_direction(scene, volume.bounds).direction
     views, unclaimed = scene.packed, UnclaimedPixels(scene.packed, volume)
 
-    hull = PhotoHull.untouched(volume)
+    hull = CarvedVolume.untouched(volume)
     occupied = volume.occupied.copy()
     carve_background(views, occupied, volume)
     hull.labels[volume.occupied & ~occupied] = Label.BACKGROUND

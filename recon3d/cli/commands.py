@@ -48,8 +48,8 @@ class Quality(StrEnum):
     """Of the mesh."""
 
     auto = "auto"
-    carve = "carve"
-    sharp = "sharp"
+    voxels = "voxels"
+    dense = "dense"
 
 
 class Surface(StrEnum):
@@ -106,12 +106,12 @@ PercentOption = Annotated[float, typer.Option(metavar="PERCENT", help="Share of 
 ThresholdOption = Annotated[float, typer.Option(metavar="MM", help="Distance that counts as complete.")]
 
 
-RealOption = Annotated[
+ValidOption = Annotated[
     Path | None, typer.Option(metavar="MESH", help="The part of GROUND_TRUTH that is real data; the rest is filler.")
 ]
 
 
-RealWithinOption = Annotated[float, typer.Option(metavar="MM", help="How near to --real counts as real.")]
+ValidWithinOption = Annotated[float, typer.Option(metavar="MM", help="How near to --valid counts as valid.")]
 
 
 SeedOption = Annotated[int, typer.Option(help="Seed of the surface samples.")]
@@ -206,9 +206,9 @@ def reconstruct(
     max_views: Annotated[int | None, typer.Option(help="With --views auto: at most so many.")] = None,
     fill_hidden: Annotated[bool, typer.Option("--fill-hidden", help="Mesh what lies hidden, too: solid.")] = False,
     quality: Annotated[
-        Quality, typer.Option(help="Mesh of the voxels, or of points matched inside them [auto: sharp with auto].")
+        Quality, typer.Option(help="Mesh of the voxels, or of points matched inside them [auto: dense with auto].")
     ] = Quality.auto,
-    surface: Annotated[Surface, typer.Option(help="How a sharp mesh is made of its points.")] = Surface.poisson,
+    surface: Annotated[Surface, typer.Option(help="How a dense mesh is made of its points.")] = Surface.poisson,
     keep_unsupported: Annotated[
         bool, typer.Option(help="Keep surface that nothing was measured of, the hull's, so that the mesh is closed.")
     ] = True,
@@ -256,8 +256,8 @@ def evaluate(
     mm_per_unit: Annotated[
         float | None, typer.Option(metavar="MM", help="Millimetres in one world unit [default: the result's, or 1000].")
     ] = None,
-    real: RealOption = None,
-    real_within: RealWithinOption = 0.1,
+    valid: ValidOption = None,
+    valid_within: ValidWithinOption = 0.1,
     supported: Annotated[
         bool, typer.Option("--supported", help="Leave out what nothing was measured of and only the hull closes.")
     ] = False,
@@ -280,8 +280,8 @@ def evaluate(
         measured = evaluate_files(
             mesh_of(reconstruction),
             ground_truth,
-            real=real,
-            real_within_mm=real_within,
+            valid=valid,
+            valid_within_mm=valid_within,
             supported=supported,
             mm_per_unit=unit,
             accuracy_percent=accuracy_percent,
@@ -328,8 +328,8 @@ def compare(
     silhouettes: SilhouettesOption = "auto",
     mm_per_unit: UnitOption = 1000.0,
     ground_truth: Annotated[Path | None, typer.Option(metavar="MESH", help="Measure against this mesh.")] = None,
-    real: RealOption = None,
-    real_within: RealWithinOption = 0.1,
+    valid: ValidOption = None,
+    valid_within: ValidWithinOption = 0.1,
     accuracy_percent: PercentOption = 90.0,
     completeness_threshold: ThresholdOption = 1.25,
 ) -> None:
@@ -337,11 +337,11 @@ def compare(
     from recon3d.evaluation.files import read_ground_truth
     from recon3d.settings import Settings
     from recon3d.study.comparison import compare
-    from recon3d.study.variants import contestants
+    from recon3d.study.variants import expand_variants
 
     chosen: Any = tests if tests == "all" else names_of(tests)
     swept = sweep_of(sweep) if sweep else None
-    contestants(chosen, swept)  # a mistake here need not wait for the photographs
+    expand_variants(chosen, swept)  # a mistake here need not wait for the photographs
     settings = Settings(
         n_voxels=n_voxels,
         method=method,
@@ -350,13 +350,15 @@ def compare(
         max_views=max_views,
     )
     options: dict[str, Any] = {}
-    if real and not ground_truth:
-        raise ValueError("--real: expected --ground-truth, too")
+    if valid and not ground_truth:
+        raise ValueError("--valid: expected --ground-truth, too")
     if ground_truth:
-        truth, mask = read_ground_truth(ground_truth, real=real, real_within_mm=real_within, mm_per_unit=mm_per_unit)
+        truth, mask = read_ground_truth(
+            ground_truth, valid=valid, valid_within_mm=valid_within, mm_per_unit=mm_per_unit
+        )
         options = {
             "ground_truth": truth,
-            "real": mask,
+            "valid": mask,
             "accuracy_percent": accuracy_percent,
             "completeness_threshold_mm": completeness_threshold,
         }
@@ -432,7 +434,7 @@ def explain(
         report("carving", 0, 1)
         found = explain_voxel(scene, settings, at=place, pixel=clicked, stages=kept)
         report("carving", 1, 1)
-    if record and record["voxels"] != found.hull.counts():
+    if record and record["voxels"] != found.carved.counts():
         warnings.warn(f"{result}: carved once more, other voxels are left than recorded; data or program have changed",
                       stacklevel=1)  # fmt: skip
     name = "voxel_" + "_".join(map(str, found.voxel)) + ".png"

@@ -26,7 +26,7 @@ TESTS: dict[str, Callable[..., ConsistencyTest]] = {
     "standard-deviation": StandardDeviation,
     "adaptive": Adaptive,
     "histogram": Histogram,
-    "colour-caching": ColorCaching,
+    "color-caching": ColorCaching,
     "minkowski": Minkowski,
     "likelihood-ratio": LikelihoodRatio,
     "f-test": FTest,

@@ -40,7 +40,7 @@ class Evaluation(Summarised):
     completeness_threshold_mm: float = 1.25
     """Distance that counts as covered."""
     left_out: int = 0
-    """Samples of R that lie nearest to parts of G that are no real data."""
+    """Samples of R that lie nearest to parts of G that are filler."""
 
     @property
     def accuracy_mm(self) -> float:
@@ -116,7 +116,7 @@ def evaluate(
     mm_per_unit: float = 1000.0,
     accuracy_percent: float = 90.0,
     completeness_threshold_mm: float = 1.25,
-    real: NDArray[np.bool_] | None = None,
+    valid: NDArray[np.bool_] | None = None,
     spacing: float | None = None,
     seed: int = 0,
 ) -> Evaluation:
@@ -132,8 +132,8 @@ def evaluate(
     mm_per_unit : millimetres in one world unit of both.
     accuracy_percent : share of R, in (0, 100].
     completeness_threshold_mm : covered distance.
-    real : (n_triangles,) or (n_points,) of G; False marks filler such as a closed hole. Completeness is not asked
-        there, and samples of R nearest to it are left out. All real when None.
+    valid : (n_triangles,) or (n_points,) of G; False marks filler such as a closed hole. Completeness is not asked
+        there, and samples of R nearest to it are left out. All valid when None.
     spacing : mean distance of neighbouring samples, world units; a thousandth of G's box diagonal when None.
     seed : of the sampling.
 
@@ -164,21 +164,21 @@ def evaluate(
         MEASURED_SHARE if isinstance(shape, o3d.geometry.TriangleMesh) else 1
         for shape in (ground_truth, reconstruction)
     )
-    if real is None:
-        real_g = np.ones(len(samples_g), np.bool_)
+    if valid is None:
+        valid_g = np.ones(len(samples_g), np.bool_)
     else:
         n_owners = len(
             ground_truth.triangles if isinstance(ground_truth, o3d.geometry.TriangleMesh) else ground_truth.points
         )
-        if real.shape != (n_owners,) or real.dtype != np.bool_ or not real.any():
-            raise ValueError(f"expected a bool mask ({n_owners},) with a True in it, got {real.shape} {real.dtype}")
-        real_g = real[owner_g]
+        if valid.shape != (n_owners,) or valid.dtype != np.bool_ or not valid.any():
+            raise ValueError(f"expected a bool mask ({n_owners},) with a True in it, got {valid.shape} {valid.dtype}")
+        valid_g = valid[owner_g]
 
-    to_g, nearest = _distances(samples_r[::step_r], samples_g, want_index=real is not None)
-    kept = real_g[nearest] if real is not None else np.ones(len(to_g), np.bool_)
+    to_g, nearest = _distances(samples_r[::step_r], samples_g, want_index=valid is not None)
+    kept = valid_g[nearest] if valid is not None else np.ones(len(to_g), np.bool_)
     if not kept.any():
         raise ValueError("every sample of the reconstruction lies nearest to filler: are both in one frame?")
-    to_r, _ = _distances(samples_g[real_g][::step_g], samples_r)
+    to_r, _ = _distances(samples_g[valid_g][::step_g], samples_r)
     return Evaluation(
         np.sort(to_g[kept]) * mm_per_unit,
         np.sort(to_r) * mm_per_unit,
@@ -191,7 +191,7 @@ def evaluate(
 def triangles_near(
     mesh: o3d.geometry.TriangleMesh, data: o3d.geometry.TriangleMesh, distance: float
 ) -> NDArray[np.bool_]:
-    """(n_triangles,) which triangles' centroids lie within a distance of another mesh: a ``real`` mask."""
+    """(n_triangles,) which triangles' centroids lie within a distance of another mesh: a ``valid`` mask."""
     centroids = np.asarray(mesh.vertices)[np.asarray(mesh.triangles)].mean(axis=1)
     return np.asarray(distance_to_mesh(centroids, data) <= distance)
 

@@ -19,8 +19,8 @@ def evaluate_files(
     reconstruction: Path | str,
     ground_truth: Path | str,
     *,
-    real: Path | str | None = None,
-    real_within_mm: float = 0.1,
+    valid: Path | str | None = None,
+    valid_within_mm: float = 0.1,
     supported: bool = False,
     mm_per_unit: float = 1000.0,
     **options: Any,
@@ -29,7 +29,7 @@ def evaluate_files(
 
     Parameters
     ----------
-    real : mesh of the part of the ground truth that is real data; ground truth farther than ``real_within_mm`` from
+    valid : mesh of the part of the ground truth that is real data; ground truth farther than ``valid_within_mm`` from
         it is filler, where nothing is measured.
     supported : leave out of the reconstruction what only the hull closes: vertices whose ``support`` is 0.
     options : passed to ``evaluate``.
@@ -39,8 +39,8 @@ def evaluate_files(
     DataError : a file is missing or holds no geometry of the kind that is needed.
     """
     shape = _supported_part(reconstruction) if supported else read_geometry(reconstruction)
-    truth, mask = read_ground_truth(ground_truth, real=real, real_within_mm=real_within_mm, mm_per_unit=mm_per_unit)
-    return evaluate(shape, truth, real=mask, mm_per_unit=mm_per_unit, **options)
+    truth, mask = read_ground_truth(ground_truth, valid=valid, valid_within_mm=valid_within_mm, mm_per_unit=mm_per_unit)
+    return evaluate(shape, truth, valid=mask, mm_per_unit=mm_per_unit, **options)
 
 
 def _supported_part(file: Path | str) -> o3d.geometry.TriangleMesh:
@@ -57,11 +57,11 @@ def _supported_part(file: Path | str) -> o3d.geometry.TriangleMesh:
 def read_ground_truth(
     ground_truth: Path | str,
     *,
-    real: Path | str | None = None,
-    real_within_mm: float = 0.1,
+    valid: Path | str | None = None,
+    valid_within_mm: float = 0.1,
     mm_per_unit: float = 1000.0,
 ) -> tuple[o3d.geometry.TriangleMesh | o3d.geometry.PointCloud, NDArray[np.bool_] | None]:
-    """Mesh or point cloud to measure against, and the mask of its ``real`` part; see ``evaluate_files``.
+    """Mesh or point cloud to measure against, and the mask of its ``valid`` part; see ``evaluate_files``.
 
     Raises
     ------
@@ -70,8 +70,8 @@ def read_ground_truth(
     truth = read_geometry(ground_truth)
     if isinstance(truth, o3d.geometry.VoxelGrid):
         raise DataError(f"{ground_truth}: expected a mesh or point cloud as ground truth, got a voxel grid")
-    if real is None:
+    if valid is None:
         return truth, None
     if not isinstance(truth, o3d.geometry.TriangleMesh):
-        raise DataError(f"{ground_truth}: a real part can be told only of a mesh, got a point cloud")
-    return truth, triangles_near(truth, read_mesh(real), real_within_mm / mm_per_unit)
+        raise DataError(f"{ground_truth}: only a mesh can have a valid part, got a point cloud")
+    return truth, triangles_near(truth, read_mesh(valid), valid_within_mm / mm_per_unit)

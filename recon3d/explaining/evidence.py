@@ -15,7 +15,7 @@ from recon3d.kernels.footprints import footprint
 from recon3d.kernels.silhouettes import distance_at
 from recon3d.scene.packed import PackedViews
 from recon3d.scene.scene import Scene
-from recon3d.volume.carved import Label, PhotoHull
+from recon3d.volume.carved import CarvedVolume, Label
 
 
 class PixelKind(IntEnum):
@@ -68,7 +68,7 @@ class ViewEvidence:
 
 
 def view_evidence(
-    scene: Scene, views: PackedViews, hull: PhotoHull, watcher: VoxelWatcher, *, asks: bool
+    scene: Scene, views: PackedViews, hull: CarvedVolume, watcher: VoxelWatcher, *, asks: bool
 ) -> tuple[ViewEvidence, ...]:
     """What every view of a scene shows of a watched voxel; of a judged one, what it showed then."""
     excluding = Silhouettes(scene, views, hull).excluding(watcher.voxel)
@@ -89,7 +89,7 @@ def view_evidence(
 class Silhouettes:
     """Which views exclude voxels, by the same rule as the engine that made a hull."""
 
-    def __init__(self, scene: Scene, views: PackedViews, hull: PhotoHull) -> None:
+    def __init__(self, scene: Scene, views: PackedViews, hull: CarvedVolume) -> None:
         self.scene, self.views, self.volume = scene, views, hull.volume
         self.outlines = silhouette_outlines(scene) if hull.distance is not None else None
 

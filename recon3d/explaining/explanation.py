@@ -20,9 +20,9 @@ from recon3d.explaining.pointing import most_telling, place_text, voxel_at, voxe
 from recon3d.pipeline import carve
 from recon3d.scene.scene import Scene
 from recon3d.settings import Settings, choose_views
-from recon3d.stereo.refinement import Stages, sharpen_hull
+from recon3d.stereo.refinement import Stages, refine
 from recon3d.summary import Summarised
-from recon3d.volume.carved import Label, PhotoHull
+from recon3d.volume.carved import CarvedVolume, Label
 from recon3d.volume.dense import CarvingVolume
 
 _TAKEN = {
@@ -49,7 +49,7 @@ class Explanation(Summarised):
     """With the views that were used."""
     settings: Settings
     """Resolved."""
-    hull: PhotoHull
+    carved: CarvedVolume
     """The whole result; of a sharp one, what matching left, with the degrees of carving."""
     voxel: Voxel
     """(i, j, k)."""
@@ -59,7 +59,7 @@ class Explanation(Summarised):
     """View by view, in the scene's order."""
     chosen: str = ""
     """Why this voxel, where a pixel was asked about."""
-    carved: Label | None = None
+    label_before_matching: Label | None = None
     """What carving had made of the voxel, before matching carved on; None: the result is not a sharp one."""
     n_points: int = 0
     """Points of a sharp result in the voxel."""
@@ -67,12 +67,12 @@ class Explanation(Summarised):
     @property
     def label(self) -> Label:
         """What became of the voxel."""
-        return Label(int(self.hull.labels[self.voxel]))
+        return Label(int(self.carved.labels[self.voxel]))
 
     @property
     def center(self) -> NDArray[np.float64]:
         """(3,) middle of the voxel, world units."""
-        return self.hull.volume.origin + self.hull.volume.voxel_size * (np.array(self.voxel) + 0.5)
+        return self.carved.volume.origin + self.carved.volume.voxel_size * (np.array(self.voxel) + 0.5)
 
     @property
     def last(self) -> Judgement | None:
@@ -91,7 +91,7 @@ class Explanation(Summarised):
             Label.BACKGROUND: f"carved before any test: outside the silhouettes of {', '.join(self.excluded_by)}",
             Label.HIDDEN: "no pixel is free to show it: it lies inside, or behind accepted voxels in every view",
         }
-        if self.label == Label.INCONSISTENT and self.carved in (Label.HIDDEN, Label.CONSISTENT):
+        if self.label == Label.INCONSISTENT and self.label_before_matching in (Label.HIDDEN, Label.CONSISTENT):
             return "inconsistent: carved by matching, the surface that the photographs agree on lies behind it"
         if self.last is None or self.label in reasons:
             return f"{self.label.name.lower()}: {reasons.get(self.label, self._unjudged())}"
@@ -114,15 +114,15 @@ class Explanation(Summarised):
             return "a candidate that was not resolved in the end"
         if not last.connected:
             return f"dropped: no accepted voxel touches it or the {last.n_connected - 1} candidates around it"
-        through = " - ".join(f"{voxel_text(voxel)} {self.hull.degree[voxel]:.3f}" for voxel in last.path[1:][-4:])
+        through = " - ".join(f"{voxel_text(voxel)} {self.carved.degree[voxel]:.3f}" for voxel in last.path[1:][-4:])
         skipped = "... - " if len(last.path) > 5 else ""
         return f"kept: candidates connect it to an accepted voxel, {skipped}{through}"
 
     def neighbours(self) -> str:
         """Labels of the voxels around, and the range of their degrees."""
         at = np.array(self.voxel) + neighbour_offsets(_connectivity(self.settings))
-        at = at[((at >= 0) & (at < self.hull.labels.shape)).all(axis=1)]
-        labels, degrees = self.hull.labels[tuple(at.T)], self.hull.degree[tuple(at.T)]
+        at = at[((at >= 0) & (at < self.carved.labels.shape)).all(axis=1)]
+        labels, degrees = self.carved.labels[tuple(at.T)], self.carved.degree[tuple(at.T)]
         parts = []
         for label in Label:
             known = degrees[(labels == label) & ~np.isnan(degrees)]
@@ -148,7 +148,7 @@ class Explanation(Summarised):
 
     def summary(self) -> dict[str, object]:
         """Table of all that is known."""
-        volume, last = self.hull.volume, self.last
+        volume, last = self.carved.volume, self.last
         rows: dict[str, object] = {
             "voxel": f"{voxel_text(self.voxel)} of {' x '.join(map(str, volume.shape))}",
             "centre": place_text(self.center),
@@ -160,14 +160,14 @@ class Explanation(Summarised):
             if len(self.judgements) > 1:
                 rows["judged"] = f"{len(self.judgements)} times: {_history(self.judgements)}"
             rows["hysteresis"] = self.hysteresis()
-        elif not np.isnan(self.hull.degree[self.voxel]):
-            rows["degree"] = f"{self.hull.degree[self.voxel]:.4f}, views {self.hull.n_views[self.voxel]}"
-        if self.hull.distance is not None:
-            depth = float(self.hull.distance[self.voxel]) / volume.voxel_size
+        elif not np.isnan(self.carved.degree[self.voxel]):
+            rows["degree"] = f"{self.carved.degree[self.voxel]:.4f}, views {self.carved.n_views[self.voxel]}"
+        if self.carved.distance is not None:
+            depth = float(self.carved.distance[self.voxel]) / volume.voxel_size
             rows["distance"] = f"{abs(depth):.2f} voxels {'inside' if depth > 0 else 'outside'}"
-        if self.carved is not None:
+        if self.label_before_matching is not None:
             rows["matching"] = (
-                f"carving left it {self.carved.name.lower()}; {self.n_points} points of the mesh lie in it"
+                f"carving left it {self.label_before_matching.name.lower()}; {self.n_points} points of the mesh lie in it"
             )
         if self.settings.method in _UNKNOWN:
             rows["not known"] = _UNKNOWN[self.settings.method]
@@ -183,8 +183,8 @@ class Explanation(Summarised):
         degrees = np.full((3, 3, 3), np.nan)
         for step in np.ndindex(3, 3, 3):
             at = low + step
-            if (at >= 0).all() and (at < self.hull.labels.shape).all():
-                labels[step], degrees[step] = self.hull.labels[tuple(at)], self.hull.degree[tuple(at)]
+            if (at >= 0).all() and (at < self.carved.labels.shape).all():
+                labels[step], degrees[step] = self.carved.labels[tuple(at)], self.carved.degree[tuple(at)]
         through = tuple(np.array(self.last.path[1]) - low) if self.last and self.last.connected else None
         return draw_explanation(
             f"Voxel {voxel_text(self.voxel)}, {self.outcome()}",
@@ -254,16 +254,16 @@ def explain(
     if points is None:
         return found
     inside = (np.floor((points - volume.origin) / volume.voxel_size) == voxel).all(axis=1)
-    return replace(found, carved=Label(int(carved.labels[voxel])), n_points=int(inside.sum()))
+    return replace(found, label_before_matching=Label(int(carved.labels[voxel])), n_points=int(inside.sum()))
 
 
 def _matched(
-    scene: Scene, carved: PhotoHull, settings: Settings, stages: Stages | None
-) -> tuple[PhotoHull, NDArray[np.float32] | None]:
+    scene: Scene, carved: CarvedVolume, settings: Settings, stages: Stages | None
+) -> tuple[CarvedVolume, NDArray[np.float32] | None]:
     """Carved volume and, of a sharp result, points (n, 3): what matching leaves of it, with the degrees of carving."""
-    if settings.quality != "sharp":
+    if settings.quality != "dense":
         return carved, None
-    cloud, left = sharpen_hull(scene, carved, stages=stages)
+    cloud, left = refine(scene, carved, stages=stages)
     distance = None if carved.distance is None else left.distance
     return replace(carved, volume=left.volume, labels=left.labels, distance=distance), cloud.point.positions.numpy()
 

@@ -10,7 +10,7 @@ from recon3d.explaining.evidence import Silhouettes
 from recon3d.kernels.item_buffer import enter_box, next_voxel
 from recon3d.scene.packed import PackedViews
 from recon3d.scene.scene import Scene
-from recon3d.volume.carved import PhotoHull
+from recon3d.volume.carved import CarvedVolume
 from recon3d.volume.dense import CarvingVolume
 
 
@@ -47,7 +47,7 @@ def voxels_on_ray(scene: Scene, volume: CarvingVolume, pixel: tuple[str, float, 
     return ray
 
 
-def most_telling(scene: Scene, views: PackedViews, hull: PhotoHull, ray: list[Voxel]) -> tuple[Voxel, str]:
+def most_telling(scene: Scene, views: PackedViews, hull: CarvedVolume, ray: list[Voxel]) -> tuple[Voxel, str]:
     """The voxel on a ray that someone who clicks on its pixel means, and why it."""
     first = next((n for n, voxel in enumerate(ray) if hull.volume.occupied[voxel]), None)
     before = ray[:first]

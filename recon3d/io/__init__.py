@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from recon3d.errors import DataError
-from recon3d.io.checkpoints import StageFolder
+from recon3d.io.checkpoints import Checkpoints
 from recon3d.io.geometry import read_geometry, read_mesh, read_support, write_geometry
 from recon3d.io.middlebury import is_middlebury, read_angles, read_bounds, read_middlebury, write_middlebury
 from recon3d.scene.scene import Scene
@@ -54,8 +54,8 @@ def open_scene(path: Path | str, **options: Any) -> Scene:
 
 __all__ = [
     "FORMATS",
+    "Checkpoints",
     "Format",
-    "StageFolder",
     "open_scene",
     "read_angles",
     "read_bounds",

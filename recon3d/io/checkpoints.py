@@ -27,7 +27,7 @@ def code_fingerprint() -> str:
     return digest.hexdigest()
 
 
-class StageFolder(MutableMapping[str, dict[str, NDArray[Any]]]):
+class Checkpoints(MutableMapping[str, dict[str, NDArray[Any]]]):
     """Named groups of arrays, a file each, written whole or not at all.
 
     Parameters

@@ -2,15 +2,15 @@
 
 from recon3d.stereo.fusion import Fusion, fuse
 from recon3d.stereo.patch_match import DepthMap, Matching
-from recon3d.stereo.refinement import PASSES, Stages, sharpen, sharpen_hull
+from recon3d.stereo.refinement import PASSES, Refinement, Stages, refine
 
 __all__ = [
     "PASSES",
     "DepthMap",
     "Fusion",
     "Matching",
+    "Refinement",
     "Stages",
     "fuse",
-    "sharpen",
-    "sharpen_hull",
+    "refine",
 ]

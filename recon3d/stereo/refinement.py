@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, MutableMapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 import open3d as o3d
@@ -14,7 +15,7 @@ from recon3d.scene.scene import Scene
 from recon3d.stereo.fusion import Fusion, fuse
 from recon3d.stereo.patch_match import DepthMap, Matcher, Matching
 from recon3d.surface.extraction import mesh_shape
-from recon3d.volume.carved import Label, PhotoHull
+from recon3d.volume.carved import CarvedVolume, Label
 
 Stages = MutableMapping[str, dict[str, NDArray[np.generic]]]
 """Arrays by name of every finished stage, kept for a later run."""
@@ -37,14 +38,24 @@ _BLUR = 1.0  # of the votes, voxels
 _TRUNCATION = 4.0  # voxels before and behind a depth where it is evidence
 
 
-def sharpen(
+class Refinement(NamedTuple):
+    """What dense matching found."""
+
+    points: o3d.t.geometry.PointCloud
+    """Tensors ``positions`` (n, 3) world units, ``normals`` (n, 3) outwards, ``colors`` (n, 3) in [0, 1], means over
+    the views that agree, and ``confidence`` (n, 1) in (0, 1): s / (1 + s), s the sum of their NCC^2."""
+    carved: CarvedVolume
+    """The volume carved once more, to the depths found: what is left where there are no points."""
+
+
+def refine(
     scene: Scene,
-    hull: PhotoHull,
+    hull: CarvedVolume,
     *,
     passes: Sequence[Matching] = PASSES,
     stages: Stages | None = None,
     progress: Callable[[int, int], None] | None = None,
-) -> o3d.t.geometry.PointCloud:
+) -> Refinement:
     """Points of the surface to a fraction of a pixel's footprint, where two views or more show it.
 
     The carved surface gives every pixel of a view a first depth and a normal, and says which other views see it. Each
@@ -60,35 +71,17 @@ def sharpen(
         hull and passes.
     progress : called with the views that are done and how many there are, over all passes.
 
-    Returns
-    -------
-    PointCloud
-        Tensors ``positions`` (n, 3) world units, ``normals`` (n, 3) outwards, ``colors`` (n, 3) in [0, 1], means over
-        the views that agree, and ``confidence`` (n, 1) in (0, 1): s / (1 + s), s the sum of their NCC^2.
-
     Raises
     ------
     SceneError : no two views can be matched.
     EmptyReconstructionError : the hull is empty, or no two views agree on any point.
     """
-    return sharpen_hull(scene, hull, passes=passes, stages=stages, progress=progress)[0]
-
-
-def sharpen_hull(
-    scene: Scene,
-    hull: PhotoHull,
-    *,
-    passes: Sequence[Matching] = PASSES,
-    stages: Stages | None = None,
-    progress: Callable[[int, int], None] | None = None,
-) -> tuple[o3d.t.geometry.PointCloud, PhotoHull]:
-    """As ``sharpen``, with the hull carved to the depths found: what is left of it where there are no points."""
     if not passes:
         raise ValueError("expected at least one pass of matching")
     stages = {} if stages is None else stages
     n_steps = len(passes) * len(scene.views)
     for n_pass, matching in enumerate(passes):
-        matcher = Matcher(scene, mesh_shape(hull.solid, distance=hull.distance), matching)
+        matcher = Matcher(scene, mesh_shape(hull.with_interior, distance=hull.distance), matching)
         depth_maps = []
         for n in range(len(scene.views)):
             name = f"pass {n_pass + 1} view {n + 1}"
@@ -101,14 +94,14 @@ def sharpen_hull(
                 progress(n_pass * len(scene.views) + n + 1, n_steps)
         fusion = fuse(scene, depth_maps, matching)
         hull = _carve(scene, hull, depth_maps, fusion, matching)
-    return fusion.cloud(), hull
+    return Refinement(fusion.cloud(), hull)
 
 
 def _carve(
-    scene: Scene, hull: PhotoHull, depth_maps: Sequence[DepthMap], fusion: Fusion, matching: Matching
-) -> PhotoHull:
+    scene: Scene, hull: CarvedVolume, depth_maps: Sequence[DepthMap], fusion: Fusion, matching: Matching
+) -> CarvedVolume:
     """The hull without what lies in front of the fused depths."""
-    volume, solid, views = hull.volume, hull.solid.occupied, scene.packed
+    volume, solid, views = hull.volume, hull.with_interior.occupied, scene.packed
     distance = hull.distance if hull.distance is not None else _distance_inside(solid, volume.voxel_size)
     inverse = np.stack([depth_map.planes[..., 0] for depth_map in depth_maps])
     depths = np.divide(1, inverse, out=np.zeros_like(inverse), where=fusion.weights > 0)

@@ -2,12 +2,12 @@
 
 from recon3d.study.comparison import Comparison, compare
 from recon3d.study.trials import Trial
-from recon3d.study.variants import Contestant, contestants
+from recon3d.study.variants import Variant, expand_variants
 
 __all__ = [
     "Comparison",
-    "Contestant",
     "Trial",
+    "Variant",
     "compare",
-    "contestants",
+    "expand_variants",
 ]

@@ -24,8 +24,8 @@ from recon3d.reporting.page import markdown_table
 from recon3d.scene.photograph import read_image
 from recon3d.scene.scene import Scene
 from recon3d.settings import Settings
-from recon3d.study.trials import Trial, make_contest
-from recon3d.study.variants import Contestant, Sweep, Tests, contestants
+from recon3d.study.trials import Trial, set_up_trials
+from recon3d.study.variants import Sweep, Tests, Variant, expand_variants
 from recon3d.summary import Summarised, grid_html
 
 _COLUMNS: dict[str, tuple[str, str]] = {
@@ -135,8 +135,8 @@ class Comparison(Summarised):
         measured = f"views left out ({', '.join(left_out)})" if left_out else "views that the tests used"
         notes = (
             f"Re-projection errors in grey levels, and overlap with the silhouettes, by the {measured}. "
-            "Accepted: voxels; holes: handles and rims of the mesh; floating: pieces beside the largest, specks "
-            "included; roughness: mean angle between neighbouring triangles; memory: what a run adds to the process."
+            "Accepted: voxels; holes: handles and rims of the mesh; floating: pieces beside the largest, small "
+            "components included; roughness: mean angle between neighbouring triangles; memory: what a run adds to the process."
         )
         if truth := self.conditions["evaluation"]:
             notes += (
@@ -175,29 +175,29 @@ def compare(
         views used. Or the names of the views. ``settings.max_views`` counts what is left.
     folder : where each finished test is kept, in ``trials``; one that is there, of the same inputs, is not run again.
         The source of a test counts as input; of one that is made in ``__main__`` nothing is kept.
-    options : passed to ``evaluate``, such as ``real``.
+    options : passed to ``evaluate``, such as ``valid``.
 
     Raises
     ------
     ValueError : a test, parameter or view that is not there, or a method that uses no test; before any work.
     VisibilityError, VolumeTooLargeError : as in ``reconstruct``.
     """
-    entries = contestants(tests, sweep)
-    contest = make_contest(scene, settings, entries[0].test, leave_out, ground_truth, options)
-    kept = _Kept(Path(folder) / "trials", contest.fingerprint()) if folder is not None else None
+    entries = expand_variants(tests, sweep)
+    setup = set_up_trials(scene, settings, entries[0].test, leave_out, ground_truth, options)
+    kept = _Kept(Path(folder) / "trials", setup.fingerprint()) if folder is not None else None
     report = progress or (lambda _stage, _done, _total: None)
-    trials, rows = [], [contest.row("photographs", [view.image for view in contest.shown.views])]
+    trials, rows = [], [setup.row("photographs", [view.image for view in setup.shown.views])]
     for n, entry in enumerate(entries):
         report("tests", n, len(entries))
         found = kept.find(entry) if kept else None
         if found is None:
-            found = contest.run(entry, report)
+            found = setup.run(entry, report)
             if kept:
                 kept.keep(entry, *found)
         trials.append(found[0])
         rows.append(found[1])
         report("tests", n + 1, len(entries))
-    return Comparison(contest.record(), tuple(trials), np.vstack(rows))
+    return Comparison(setup.record(), tuple(trials), np.vstack(rows))
 
 
 @dataclass(frozen=True)
@@ -205,10 +205,10 @@ class _Kept:
     """Finished trials in a folder: figures as JSON and the contact sheet's row as PNG, the figures last."""
 
     folder: Path
-    contest: str
+    setup: str
     """Fingerprint of all that is not the test."""
 
-    def find(self, entry: Contestant) -> tuple[Trial, NDArray[np.uint8]] | None:
+    def find(self, entry: Variant) -> tuple[Trial, NDArray[np.uint8]] | None:
         """What is kept of a test under the same conditions."""
         file = self._file(entry)
         if file is None or not file.is_file():
@@ -220,16 +220,16 @@ class _Kept:
             return None
         return figures, row
 
-    def keep(self, entry: Contestant, trial: Trial, row: NDArray[np.uint8]) -> None:
+    def keep(self, entry: Variant, trial: Trial, row: NDArray[np.uint8]) -> None:
         """Write a finished trial, unless nothing tells its test from others."""
         file = self._file(entry)
         if file is not None:
             write_image(file.with_suffix(".png"), row)
             write_json(file, asdict(trial))
 
-    def _file(self, entry: Contestant) -> Path | None:
+    def _file(self, entry: Variant) -> Path | None:
         told = identity(entry.test)
         if told is None:
             return None
-        key = hashlib.sha256(f"{self.contest}{entry.label}{told}".encode()).hexdigest()[:16]
+        key = hashlib.sha256(f"{self.setup}{entry.label}{told}".encode()).hexdigest()[:16]
         return self.folder / f"{re.sub('[^A-Za-z0-9.=-]+', '-', entry.label)}-{key}.json"

@@ -30,7 +30,7 @@ from recon3d.scene.scene import Scene
 from recon3d.scene.view import View
 from recon3d.settings import Settings, choose_views
 from recon3d.study.memory import peak_memory
-from recon3d.study.variants import Contestant
+from recon3d.study.variants import Variant
 from recon3d.summary import labelled_row
 from recon3d.volume.dense import CarvingVolume
 
@@ -62,7 +62,7 @@ class Trial:
     holes: int | None = None
     """Handles through the closed pieces of the mesh, and rims of its open ones."""
     floating: int | None = None
-    """Pieces beside the largest, with the specks that the mesh goes without."""
+    """Pieces beside the largest, with the small components that the mesh goes without."""
     roughness_degrees: float | None = None
     """Mean angle between neighbouring triangles; see ``ShapeQuality.dihedral_degrees``."""
     median_error: float | None = None
@@ -78,7 +78,7 @@ class Trial:
 
 
 @dataclass(frozen=True)
-class Contest:
+class TrialSetup:
     """What is the same for all tests."""
 
     used: Scene
@@ -93,7 +93,7 @@ class Contest:
     options: Mapping[str, Any]
     """Of ``evaluate``."""
 
-    def run(self, entry: Contestant, progress: Progress) -> tuple[Trial, NDArray[np.uint8]]:
+    def run(self, entry: Variant, progress: Progress) -> tuple[Trial, NDArray[np.uint8]]:
         """Figures of a test, and its row of the contact sheet."""
         settings = replace(self.settings, test=entry.test)
         try:
@@ -123,7 +123,7 @@ class Contest:
         with suppress(EmptyReconstructionError):
             METHODS[settings.method].carve(self.used, small, settings.test, **settings.method_options)
 
-    def _measured(self, entry: Contestant, result: Reconstruction, memory_mib: float | None) -> Trial:
+    def _measured(self, entry: Variant, result: Reconstruction, memory_mib: float | None) -> Trial:
         """Figures of a reconstruction."""
         quality = result.quality
         if self.left_out:
@@ -133,11 +133,11 @@ class Contest:
             entry.label,
             entry.family,
             entry.value,
-            result.hull.volume.n_occupied,
+            result.carved.volume.n_occupied,
             result.timings["carving"],
             memory_mib,
             holes=shape.boundary_loops + (shape.genus or 0),
-            floating=shape.components - 1 + result.mending.specks,
+            floating=shape.components - 1 + result.repairs.small_components,
             roughness_degrees=shape.dihedral_degrees,
             median_error=photographs.median,
             mean_error=photographs.mean,
@@ -187,14 +187,14 @@ class Contest:
         return digest.hexdigest()
 
 
-def make_contest(
+def set_up_trials(
     scene: Scene,
     settings: Settings | None,
     test: ConsistencyTest,
     leave_out: int | Sequence[str],
     ground_truth: o3d.geometry.TriangleMesh | o3d.geometry.PointCloud | None,
     options: Mapping[str, Any],
-) -> Contest:
+) -> TrialSetup:
     """Choose the views, and refuse what cannot be compared."""
     settings = settings or Settings(method="voxel-coloring")
     if settings.test is not None:
@@ -210,7 +210,7 @@ def make_contest(
         raise ValueError(f"expected views to be left for the tests, got all of {', '.join(names)} left out")
     used = spread_views(replace(admitted, views=rest), resolved.max_views or len(rest))
     chosen = np.unique(np.linspace(0, len(admitted.views) - 1, min(_SHOWN, len(admitted.views))).round().astype(int))
-    return Contest(
+    return TrialSetup(
         used,
         left_out,
         replace(admitted, views=tuple(admitted.views[n] for n in chosen)),

@@ -23,7 +23,7 @@ Sweep = tuple[str, Sequence[float]]
 
 
 @dataclass(frozen=True)
-class Contestant:
+class Variant:
     """One test with one set of parameters."""
 
     label: str
@@ -34,7 +34,7 @@ class Contestant:
     """Of the swept parameter."""
 
 
-def contestants(tests: Tests, sweep: Sweep | None = None) -> list[Contestant]:
+def expand_variants(tests: Tests, sweep: Sweep | None = None) -> list[Variant]:
     """Every test that is asked for, those with the swept parameter once for each value.
 
     Raises
@@ -46,14 +46,14 @@ def contestants(tests: Tests, sweep: Sweep | None = None) -> list[Contestant]:
     found = [
         variant
         for label, test in _labelled(tests)
-        for variant in (_swept(label, test, *sweep) if sweep else [Contestant(label, test, label)])
+        for variant in (_swept(label, test, *sweep) if sweep else [Variant(label, test, label)])
     ]
-    labels = [contestant.label for contestant in found]
+    labels = [variant.label for variant in found]
     repeated = sorted({label for label in labels if labels.count(label) > 1})
     if not found or repeated:
         raise ValueError(f"expected tests of different labels, got {', '.join(repeated) or 'none'}")
-    if sweep and all(contestant.value is None for contestant in found):
-        known = sorted({name for contestant in found for name in _parameters(contestant.test)})
+    if sweep and all(variant.value is None for variant in found):
+        known = sorted({name for variant in found for name in _parameters(variant.test)})
         raise ValueError(f"expected a parameter among {', '.join(known) or 'none'}, got {sweep[0]!r}")
     return found
 
@@ -88,10 +88,10 @@ def _parameters(test: ConsistencyTest) -> list[str]:
     return list(inspect.signature(test).parameters)[1:]
 
 
-def _swept(label: str, test: ConsistencyTest, name: str, values: Sequence[float]) -> list[Contestant]:
+def _swept(label: str, test: ConsistencyTest, name: str, values: Sequence[float]) -> list[Variant]:
     """The test with every value of a parameter; as it is where it has no such parameter."""
     if name not in _parameters(test):
-        return [Contestant(label, test, label)]
+        return [Variant(label, test, label)]
     found = []
     for value in np.asarray(values).tolist():  # plain numbers, which have one text
         try:
@@ -99,7 +99,7 @@ def _swept(label: str, test: ConsistencyTest, name: str, values: Sequence[float]
             varied = _varied(test, change)
         except ValueError as error:
             raise ValueError(f"{label}, {name}={value:g}: {error}") from None
-        found.append(Contestant(f"{label} {name}={value:g}", varied, label, value))
+        found.append(Variant(f"{label} {name}={value:g}", varied, label, value))
     return found
 
 

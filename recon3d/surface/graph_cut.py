@@ -13,7 +13,7 @@ from recon3d.errors import EmptyReconstructionError
 from recon3d.kernels.min_cut import SINK, min_cut
 from recon3d.kernels.splatting import splat_planes
 from recon3d.surface.extraction import blend_colors, mesh_level
-from recon3d.volume.carved import PhotoHull
+from recon3d.volume.carved import CarvedVolume
 from recon3d.volume.dense import CarvingVolume
 
 _OFFSETS = np.array([(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)])  # d ^ 1 leads back from d
@@ -48,7 +48,7 @@ _PADDING = 2  # empty voxels around the volume, so that the surface closes
 
 def graph_cut(
     points: o3d.t.geometry.PointCloud,
-    hull: PhotoHull,
+    hull: CarvedVolume,
     *,
     attraction: float = 2.0,
     evidence: float = 1.5,
@@ -102,7 +102,7 @@ def graph_cut(
         raise ValueError(
             f"expected evidence in (0, {_DEAREST}] and ballooning in [0, {_DEAREST}], got {evidence} and {ballooning}"
         )
-    solid = hull.solid.occupied
+    solid = hull.with_interior.occupied
     nodes = binary_dilation(solid, _ROUND, iterations=margin) if margin else solid
     oriented = _OrientedPoints.read(points).inside(hull.volume, nodes)
     support, behind = _votes(oriented, hull.volume, spread)
@@ -224,7 +224,7 @@ def _whole(costs: NDArray[np.floating]) -> NDArray[np.int32]:
 
 
 def _surface_distance(
-    occupied: NDArray[np.bool_], hull: PhotoHull, support: NDArray[np.float32], behind: NDArray[np.float32]
+    occupied: NDArray[np.bool_], hull: CarvedVolume, support: NDArray[np.float32], behind: NDArray[np.float32]
 ) -> NDArray[np.float32]:
     """(nx, ny, nz) signed distance in voxels near the surface: the points', the hull's or the smoothed cut's."""
     blurred = gaussian_filter(np.pad(occupied, _PADDING).astype(np.float32), 1.0)[(slice(_PADDING, -_PADDING),) * 3]

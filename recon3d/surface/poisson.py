@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from recon3d.surface.extraction import blend_colors, mesh_shape
 from recon3d.surface.graph_cut import graph_cut
-from recon3d.volume.carved import PhotoHull
+from recon3d.volume.carved import CarvedVolume
 
 Surface = Literal["poisson", "graph-cut"]
 """Screened Poisson reconstruction, or the minimum cut of the carved volume."""
@@ -24,14 +24,14 @@ _MARGIN = 1.1  # of Poisson's cube around the points
 
 
 def mesh_points(
-    points: o3d.t.geometry.PointCloud, hull: PhotoHull, *, surface: Surface = "poisson", spacing: float | None = None
+    points: o3d.t.geometry.PointCloud, hull: CarvedVolume, *, surface: Surface = "poisson", spacing: float | None = None
 ) -> o3d.geometry.TriangleMesh:
     """Closed mesh through oriented points; where there are none, the hull closes it, or a small surface inside it.
 
     Parameters
     ----------
-    points : as ``sharpen`` returns them.
-    hull : what is left of the carved volume in their places, as ``sharpen_hull`` returns it.
+    points : as ``refine`` finds them.
+    hull : what is left of the carved volume in their places, as ``refine`` leaves it.
     surface : "poisson" follows the points most closely, and the hull where there are none; "graph-cut" is edge-manifold
         by construction and holds its own against outliers, but where there are none takes the shortest way inside the
         hull.
@@ -81,9 +81,9 @@ def near_points(places: NDArray[np.float64], points: o3d.t.geometry.PointCloud, 
     return np.asarray(np.isfinite(distance))
 
 
-def _closed_by_hull(points: o3d.t.geometry.PointCloud, hull: PhotoHull, spacing: float) -> o3d.geometry.PointCloud:
+def _closed_by_hull(points: o3d.t.geometry.PointCloud, hull: CarvedVolume, spacing: float) -> o3d.geometry.PointCloud:
     """The points, and the hull's surface where it lies far from all of them."""
-    shell = mesh_shape(hull.solid, distance=hull.distance)
+    shell = mesh_shape(hull.with_interior, distance=hull.distance)
     vertices = np.asarray(shell.vertices)
     gap = ~near_points(vertices, points, spacing)
     cloud = o3d.geometry.PointCloud(

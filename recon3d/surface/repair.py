@@ -1,4 +1,4 @@
-"""Meshes made clean: no specks, every edge and vertex manifold, every closed piece the right side out."""
+"""Meshes made clean: no small components, every edge and vertex manifold, every closed piece the right side out."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ _DIRECTIONS = np.array([[0.54, 0.32, 0.78], [-0.83, 0.47, 0.31], [0.23, -0.71, -
 
 
 @dataclass(frozen=True)
-class Mending:
+class Repairs:
     """What was wrong with a mesh, and is no longer."""
 
-    specks: int = 0
+    small_components: int = 0
     """Pieces that were dropped because they are small."""
     non_manifold_edges: int = 0
     """Edges cut because more than two triangles met there, or two that disagree which side is out."""
@@ -35,7 +35,7 @@ class Mending:
     def __str__(self) -> str:
         """What was not in order, in one line; empty when everything was."""
         told = {
-            "specks dropped": self.specks,
+            "small_components dropped": self.small_components,
             "non-manifold edges cut": self.non_manifold_edges,
             "non-manifold vertices doubled": self.non_manifold_vertices,
             "pieces turned outwards": self.inward_pieces,
@@ -43,7 +43,7 @@ class Mending:
         return ", ".join(f"{count:,} {what}" for what, count in told.items() if count)
 
 
-def drop_specks(mesh: o3d.geometry.TriangleMesh, min_area: float) -> tuple[o3d.geometry.TriangleMesh, int]:
+def drop_small_components(mesh: o3d.geometry.TriangleMesh, min_area: float) -> tuple[o3d.geometry.TriangleMesh, int]:
     """The mesh without pieces of a smaller area, and how many these were; the largest piece stays whatever its area.
 
     Parameters
@@ -64,7 +64,7 @@ def drop_specks(mesh: o3d.geometry.TriangleMesh, min_area: float) -> tuple[o3d.g
     return kept, int(small.sum())
 
 
-def mend_mesh(mesh: o3d.geometry.TriangleMesh) -> tuple[o3d.geometry.TriangleMesh, Mending]:
+def repair_mesh(mesh: o3d.geometry.TriangleMesh) -> tuple[o3d.geometry.TriangleMesh, Repairs]:
     """The mesh with manifold edges and vertices, its closed pieces the right side out, and what was wrong with it.
 
     Where triangles meet at an edge or a vertex without forming one sheet, the sheets are cut apart: their vertices
@@ -92,7 +92,7 @@ def mend_mesh(mesh: o3d.geometry.TriangleMesh) -> tuple[o3d.geometry.TriangleMes
         cut.triangles = o3d.utility.Vector3iVector(turned)
     if mesh.has_vertex_normals() and (n_inward or doubled.any()):
         cut.compute_vertex_normals()
-    return cut, Mending(0, crowded, int(doubled.sum()), n_inward)
+    return cut, Repairs(0, crowded, int(doubled.sum()), n_inward)
 
 
 def _neighbouring_corners(triangles: NDArray[np.int32]) -> tuple[NDArray[np.int64], NDArray[np.int64], int]:

@@ -15,7 +15,7 @@ from recon3d.rendering.ray_caster import RayCaster
 from recon3d.rendering.renderer import pixel_rays
 from recon3d.scene.packed import PackedViews
 from recon3d.scene.scene import Scene
-from recon3d.surface.visibility import seeing_views
+from recon3d.surface.visibility import vertex_visibility
 
 _JUMP = 5.0  # pixel footprints of depth between neighbouring pixels that make an edge
 
@@ -31,8 +31,8 @@ def color_from_views(
 ) -> tuple[o3d.geometry.TriangleMesh, NDArray[np.int64]]:
     """A mesh with the colours that the photographs agree on at its vertices, and how many views see each vertex.
 
-    Each view that sees a vertex (see ``seeing_views``) is sampled between its pixels. A view weighs by the number of
-    pixels that it has for an area of the surface (cosine over footprint squared), and hardly where its pixel lies
+    Each view that sees a vertex (see ``vertex_visibility``) is sampled between its pixels. A view weighs by the number
+    of pixels that it has for an area of the surface (cosine over footprint squared), and hardly where its pixel lies
     beside a jump of depth, since what lies behind bleeds in there; a pixel in the background or beside it is not
     asked. Channel by channel the weighted median of the views counts: a highlight, or a view that is mistaken, cannot
     draw it away from what the others agree on. Where no view can be asked, colours flow in along the surface from
@@ -62,7 +62,7 @@ def color_from_views(
         mesh.compute_vertex_normals()
     points, normals = np.asarray(mesh.vertices), np.asarray(mesh.vertex_normals)
     views, caster = scene.packed, RayCaster(mesh)
-    seen = seeing_views(mesh, scene, caster)
+    seen = vertex_visibility(mesh, scene, caster)
     colors = np.full((len(points), 3), np.nan)
     agreed_colors(
         points, normals, seen, views.projections, views.centers, views.focals, views.sizes, views.images,

@@ -14,7 +14,9 @@ from recon3d.scene.scene import Scene
 _CLEARANCE = 0.1  # pixel footprints before a vertex where its line of sight ends
 
 
-def seeing_views(mesh: o3d.geometry.TriangleMesh, scene: Scene, caster: RayCaster | None = None) -> NDArray[np.bool_]:
+def vertex_visibility(
+    mesh: o3d.geometry.TriangleMesh, scene: Scene, caster: RayCaster | None = None
+) -> NDArray[np.bool_]:
     """(n_views, n_vertices) whether a view sees a vertex of a mesh: from outside, nothing of the mesh in between.
 
     Parameters
@@ -39,7 +41,7 @@ def seeing_views(mesh: o3d.geometry.TriangleMesh, scene: Scene, caster: RayCaste
 
 def count_seeing_views(mesh: o3d.geometry.TriangleMesh, scene: Scene) -> NDArray[np.int64]:
     """(n_vertices,) how many views see each vertex of a mesh."""
-    return np.asarray(seeing_views(mesh, scene).sum(axis=0))
+    return np.asarray(vertex_visibility(mesh, scene).sum(axis=0))
 
 
 def keep_vertices(mesh: o3d.geometry.TriangleMesh, kept: NDArray[np.bool_]) -> o3d.geometry.TriangleMesh:

@@ -30,7 +30,7 @@ class Label(IntEnum):
 
 
 @dataclass(frozen=True, repr=False)
-class PhotoHull(Summarised):
+class CarvedVolume(Summarised):
     """The accepted voxels, and what was found out about the others."""
 
     volume: CarvingVolume
@@ -46,7 +46,7 @@ class PhotoHull(Summarised):
     left of it; world units, positive inside; None where the method knows none."""
 
     @classmethod
-    def untouched(cls, volume: CarvingVolume, distance: NDArray[np.float32] | None = None) -> PhotoHull:
+    def untouched(cls, volume: CarvingVolume, distance: NDArray[np.float32] | None = None) -> CarvedVolume:
         """Nothing judged and nothing accepted yet, on the lattice of a volume."""
         shape = volume.shape
         return cls(
@@ -66,14 +66,14 @@ class PhotoHull(Summarised):
         return {name: array for name, array in known.items() if array is not None}
 
     @classmethod
-    def from_arrays(cls, volume: CarvingVolume, arrays: Mapping[str, NDArray[Any]]) -> PhotoHull:
+    def from_arrays(cls, volume: CarvingVolume, arrays: Mapping[str, NDArray[Any]]) -> CarvedVolume:
         """The hull that ``arrays`` were of, on the same lattice."""
         found = dict(arrays)
         volume = CarvingVolume(volume.origin, volume.voxel_size, found.pop("occupied"), found.pop("colors"))
         return cls(volume, **found)
 
     @property
-    def solid(self) -> CarvingVolume:
+    def with_interior(self) -> CarvingVolume:
         """The accepted voxels and those hidden behind them in every view: a shape with an inside, for a mesh."""
         return self.volume.with_occupancy((self.labels == Label.HIDDEN) | (self.labels == Label.CONSISTENT))
 
