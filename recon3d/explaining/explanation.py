@@ -167,7 +167,8 @@ class Explanation(Summarised):
             rows["distance"] = f"{abs(depth):.2f} voxels {'inside' if depth > 0 else 'outside'}"
         if self.label_before_matching is not None:
             rows["matching"] = (
-                f"carving left it {self.label_before_matching.name.lower()}; {self.n_points} points of the mesh lie in it"
+                f"carving left it {self.label_before_matching.name.lower()}; "
+                f"{self.n_points} points of the mesh lie in it"
             )
         if self.settings.method in _UNKNOWN:
             rows["not known"] = _UNKNOWN[self.settings.method]

@@ -136,7 +136,8 @@ class Comparison(Summarised):
         notes = (
             f"Re-projection errors in grey levels, and overlap with the silhouettes, by the {measured}. "
             "Accepted: voxels; holes: handles and rims of the mesh; floating: pieces beside the largest, small "
-            "components included; roughness: mean angle between neighbouring triangles; memory: what a run adds to the process."
+            "components included; roughness: mean angle between neighbouring triangles; memory: what a run adds to "
+            "the process."
         )
         if truth := self.conditions["evaluation"]:
             notes += (
