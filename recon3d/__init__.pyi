@@ -57,9 +57,9 @@ from .rendering import Renderer, Rendering, comparison_sheet, turntable
 from .reporting import error_map, plot_evaluation, save, save_error_maps, save_evaluation, save_pictures, show_mesh
 from .result import Reconstruction
 from .scene import (
+    Bounds,
     Scene,
     View,
-    make_bounds,
     with_mask_files,
     with_segmented_silhouettes,
     with_threshold_silhouettes,
@@ -88,6 +88,7 @@ __all__ = [
     "METHODS",
     "SCENES",
     "TESTS",
+    "Bounds",
     "BuiltInScene",
     "CarvedVolume",
     "CarvingVolume",
@@ -138,7 +139,6 @@ __all__ = [
     "largest_admissible_views",
     "little_temple",
     "load_test",
-    "make_bounds",
     "measure_quality",
     "mesh_points",
     "mesh_sparse",

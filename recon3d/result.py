@@ -64,7 +64,7 @@ class Reconstruction(Summarised):
             "scene": {
                 "name": self.scene.name,
                 "views": [view.name for view in self.scene.views],
-                "bounds": [list(self.scene.bounds.min_bound), list(self.scene.bounds.max_bound)],
+                "bounds": [list(self.scene.bounds.low), list(self.scene.bounds.high)],
                 "mm_per_unit": self.scene.mm_per_unit,
                 **self.scene.notes,
             },

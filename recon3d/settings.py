@@ -90,7 +90,7 @@ class Settings:
         """
         method = self.method
         if method == "auto":
-            known = any(view.silhouette is not None for view in scene.views)
+            known = any(view.has_silhouette for view in scene.views)
             method = "vote-carving" if known and self.test is None else "generalized-voxel-coloring"
         quality = self.quality
         if quality == "auto":

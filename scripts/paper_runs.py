@@ -15,7 +15,6 @@ from open3d.geometry import TriangleMesh
 import recon3d
 from recon3d.carving.visibility import sweep_direction
 from recon3d.rendering.sheets import portrait
-from recon3d.scene.bounds import bounds_corners
 from recon3d.settings import choose_views
 
 HEAD = ("", "voxels accepted", "carving", "accuracy (90%)", "completeness (1.25 mm)")
@@ -30,7 +29,7 @@ def photographs(folder: Path, silhouettes: str) -> recon3d.Scene:
 def first_views(scene: recon3d.Scene, count: int) -> recon3d.Scene:
     """The first views, as the paper takes them, or the most spread of those that its constraint admits."""
     first = scene.subset([view.name for view in scene.views[:count]])
-    if sweep_direction(first.centers, bounds_corners(scene.bounds)):
+    if sweep_direction(first.centers, scene.bounds.corners):
         return first
     return choose_views(scene, recon3d.Settings(method="voxel-coloring", max_views=count))
 

@@ -10,7 +10,7 @@ import open3d as o3d
 from numpy.typing import NDArray
 
 from recon3d.datasets.synthetic import Camera, photograph, ring
-from recon3d.scene.bounds import make_bounds
+from recon3d.scene.bounds import Bounds
 from recon3d.scene.scene import Scene
 from recon3d.scene.view import View
 from recon3d.volume.dense import CarvingVolume
@@ -80,7 +80,7 @@ def photographs(
     """Photographs of a mesh, with bounds a little wider than it."""
     scene = photograph(mesh, texture, taken_by or cameras(), supersampling=supersampling)
     # Odd margins, so that no voxel's corner falls on a pixel's centre by symmetry.
-    return replace(scene, bounds=make_bounds(mesh.get_min_bound() - 0.1137, mesh.get_max_bound() + 0.1259))
+    return replace(scene, bounds=Bounds(mesh.get_min_bound() - 0.1137, mesh.get_max_bound() + 0.1259))
 
 
 def transformed(scene: Scene, scale: float, shift: NDArray[np.float64]) -> Scene:
@@ -91,11 +91,11 @@ def transformed(scene: Scene, scale: float, shift: NDArray[np.float64]) -> Scene
         pose[:3, 3] = scale * pose[:3, 3] - pose[:3, :3] @ shift
         return View.from_matrices(view.K, pose, view.image, silhouette=view.silhouette, name=view.name)
 
-    low, high = (scale * np.asarray(corner) + shift for corner in (scene.bounds.min_bound, scene.bounds.max_bound))
+    low, high = (scale * np.asarray(corner) + shift for corner in (scene.bounds.low, scene.bounds.high))
     return replace(
         scene,
         views=tuple(map(moved, scene.views)),
-        bounds=make_bounds(low, high),
+        bounds=Bounds(low, high),
         mm_per_unit=scene.mm_per_unit / scale,
     )
 

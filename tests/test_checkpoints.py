@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scenes import ball_mesh, cameras, grain, photographs, plain_view
 
 import recon3d
-from recon3d import CarvedVolume, Reconstruction, Scene, Settings, make_bounds
+from recon3d import Bounds, CarvedVolume, Reconstruction, Scene, Settings
 from recon3d.io.checkpoints import Checkpoints
 from recon3d.pipeline import keep_stages
 from recon3d.stereo.refinement import PASSES
@@ -180,7 +180,7 @@ def test_a_fingerprint_tells_all_that_a_scene_is_made_of() -> None:
         made |= changes
         view = plain_view(made["K"], width=made["width"], height=made["height"], name=made["name"])
         view = replace(view, silhouette=made["mask"])
-        return Scene((view,), make_bounds([-1, -1, -1], [made["side"], 1, 1]), "scene", made["unit"])
+        return Scene((view,), Bounds([-1, -1, -1], [made["side"], 1, 1]), "scene", made["unit"])
 
     K = np.array([[5.0, 0, 2.5], [0, 5.0, 1.5], [0, 0, 1]])
     longer = K * [[1.01, 1, 1], [1, 1, 1], [1, 1, 1]]

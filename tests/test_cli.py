@@ -207,7 +207,7 @@ def test_a_result_is_rendered_and_measured_with_what_its_record_says(
     bare = tmp_path / "bare"
     shutil.copytree(photographs, bare)
     (bare / "README.txt").unlink()
-    box = ",".join(str(x) for corner in (temple.scene.bounds.min_bound, temple.scene.bounds.max_bound) for x in corner)
+    box = ",".join(str(x) for corner in (temple.scene.bounds.low, temple.scene.bounds.high) for x in corner)
     options = [f"--bounds={box}", "--mm-per-unit", 10, "--voxels", 20_000, "--no-pictures", "--mesh-format", "obj"]
     run("reconstruct", bare, "-o", tmp_path / "out", *options)
     run("render", tmp_path / "out")

@@ -37,7 +37,7 @@ from recon3d.errors import EmptyReconstructionError, SceneError, VolumeTooLargeE
 from recon3d.kernels.brick_rays import next_brick
 from recon3d.kernels.bricks import BRICK, EMPTY, SOLID
 from recon3d.kernels.item_buffer import next_voxel
-from recon3d.scene.bounds import make_bounds
+from recon3d.scene.bounds import Bounds
 from recon3d.scene.scene import Scene
 from recon3d.scene.silhouettes import without_silhouettes
 from recon3d.volume.carved import CarvedVolume
@@ -116,7 +116,7 @@ def test_candidates_are_carried_across_bricks_by_the_same_neighbours(connectivit
 
 def test_the_hull_stores_bricks_near_the_surface_alone(temple: BuiltInScene) -> None:
     def stored(n: int) -> tuple[int, float]:
-        hull = fine_visual_hull(temple.scene, temple.scene.bounds.get_max_extent() / n)
+        hull = fine_visual_hull(temple.scene, temple.scene.bounds.longest / n)
         assert (hull.slots == SOLID).any()
         assert (hull.slots == EMPTY).any()
         return hull.occupied.size, float(np.prod(hull.shape))
@@ -184,7 +184,7 @@ def test_the_item_buffer_of_bricks_is_brute_force_ray_casting_after_every_round(
 def test_a_camera_inside_the_volume_sees_the_same_from_bricks() -> None:
     scene = without_silhouettes(little_temple(n_views=2, width=32, height=24).scene)
     center = scene.views[0].center
-    wide = replace(scene, bounds=make_bounds(np.minimum(scene.bounds.min_bound, center - 0.05), center + 0.05))
+    wide = replace(scene, bounds=Bounds(np.minimum(scene.bounds.low, center - 0.05), center + 0.05))
     volume = CarvingVolume.enclosing(wide.bounds, n_voxels=40_000)
     test = StandardDeviation(20)
     fine = fine_generalized_voxel_coloring(wide, volume.voxel_size, test)
@@ -197,14 +197,14 @@ def test_one_thread_equals_two(carve: Callable[[Scene, float], SparseVolume], te
     threads = numba.get_num_threads()
     for count in (1, threads):
         numba.set_num_threads(count)
-        results.append(carve(with_noise(temple.scene, 8), temple.scene.bounds.get_max_extent() / 60))
+        results.append(carve(with_noise(temple.scene, 8), temple.scene.bounds.longest / 60))
     one, two = results
     for name in ("slots", "occupied", "visible", "colors", "distance"):
         np.testing.assert_array_equal(getattr(one, name), getattr(two, name))
 
 
 def test_surface_voxels_that_no_pixel_sees_take_the_nearest_measured_colour(temple: BuiltInScene) -> None:
-    hull = fine_visual_hull(temple.scene, temple.scene.bounds.get_max_extent() / 100)
+    hull = fine_visual_hull(temple.scene, temple.scene.bounds.longest / 100)
     unseen = hull.surface() & ~hull.visible
     assert unseen.any()
     measured = hull.voxels(hull.visible)
@@ -218,7 +218,7 @@ def test_surface_voxels_that_no_pixel_sees_take_the_nearest_measured_colour(temp
 def test_bricks_that_would_not_fit_are_refused_with_a_size_that_would(
     monkeypatch: pytest.MonkeyPatch, temple: BuiltInScene
 ) -> None:
-    side = temple.scene.bounds.get_max_extent()
+    side = temple.scene.bounds.longest
     free = 600 * BYTES_PER_BRICK
     monkeypatch.setattr(psutil, "virtual_memory", lambda: SimpleNamespace(available=free))
     with pytest.raises(VolumeTooLargeError, match=r"voxels of .* would need .* GiB") as caught:
@@ -259,6 +259,6 @@ def test_a_test_that_carves_everything_is_a_clear_error() -> None:
         zero = np.zeros(patches.n_voxels)
         return Verdict(zero, zero + 0.5, zero + 0.5)
 
-    scene = Scene((plain_view(),), make_bounds([-1, -1, -1], [1, 1, 1]))
+    scene = Scene((plain_view(),), Bounds([-1, -1, -1], [1, 1, 1]))
     with pytest.raises(EmptyReconstructionError, match="carved all 1,000 voxels"):
         fine_generalized_voxel_coloring(scene, 0.2, never)

@@ -36,7 +36,7 @@ from recon3d.cli import commands as cli
 from recon3d.datasets.synthetic import BuiltInScene
 from recon3d.explaining.evidence import PixelKind
 from recon3d.explaining.pointing import voxels_on_ray
-from recon3d.scene.bounds import bounds_corners, make_bounds
+from recon3d.scene.bounds import Bounds
 
 OBSERVED = [name for name, method in METHODS.items() if method.uses_test]
 
@@ -89,7 +89,7 @@ def degree_of(pixels: list[set[tuple[int, int]]]) -> Fraction:
 @cache
 def literal() -> Result:
     volume = result("voxel-coloring").carved.volume
-    found = sweep_direction(world().centers, bounds_corners(volume.bounds))
+    found = sweep_direction(world().centers, volume.bounds.corners)
     assert found is not None
     full = volume.with_occupancy(np.ones(volume.shape, np.bool_))
     return color_voxels(world(), full, found.direction)
@@ -203,7 +203,7 @@ def test_every_outcome_says_what_it_is() -> None:
         explanation = explained("voxel-coloring", some_voxels(hull, label, 1)[0])
         assert explanation.outcome().startswith(text)
         assert text in repr(explanation)
-    wide = replace(world(), bounds=make_bounds([-3.5, -2.5, -2.5], [2.5, 2.5, 2.5]))
+    wide = replace(world(), bounds=Bounds([-3.5, -2.5, -2.5], [2.5, 2.5, 2.5]))
     settings = Settings(voxel_size=0.5, method="voxel-coloring")
     wide_hull = recon3d.reconstruct(wide, settings).carved
     unseen = wide_hull.volume.origin + 0.5 * (np.argwhere(wide_hull.labels == Label.UNSEEN)[0] + 0.5)

@@ -13,7 +13,7 @@ from recon3d.datasets.synthetic import BuiltInScene
 from recon3d.errors import DataError, SceneError
 from recon3d.io.files import write_image
 from recon3d.io.middlebury import is_middlebury, read_angles, read_bounds, read_middlebury, write_middlebury
-from recon3d.scene.bounds import make_bounds
+from recon3d.scene.bounds import Bounds
 from recon3d.scene.scene import Scene
 
 README = """toy data set -- 3 views
@@ -65,18 +65,18 @@ def test_a_set_is_read_as_its_files_say(folder: Path) -> None:
 
 def test_the_readmes_box_is_padded_by_a_hundredth_of_its_longest_side(folder: Path) -> None:
     tight = read_bounds(folder)
-    assert tight.min_bound.tolist() == [-1.0, -1.05, -1.1]
-    assert tight.max_bound.tolist() == [1.0, 1.05, 1.1]
+    assert tight.low == (-1.0, -1.05, -1.1)
+    assert tight.high == (1.0, 1.05, 1.1)
     padded = read_middlebury(folder).bounds
-    np.testing.assert_allclose(padded.min_bound, [-1.022, -1.072, -1.122], atol=1e-12)
-    np.testing.assert_allclose(padded.max_bound, [1.022, 1.072, 1.122], atol=1e-12)
+    np.testing.assert_allclose(padded.low, [-1.022, -1.072, -1.122], atol=1e-12)
+    np.testing.assert_allclose(padded.high, [1.022, 1.072, 1.122], atol=1e-12)
 
 
 def test_bounds_that_are_given_are_taken_as_they_are(folder: Path) -> None:
     (folder / "README.txt").unlink()
-    bounds = make_bounds([-1.1, -1.1, -1.1], [1.15, 1.1, 1.1])
+    bounds = Bounds([-1.1, -1.1, -1.1], [1.15, 1.1, 1.1])
     scene = read_middlebury(folder, bounds=bounds, mm_per_unit=10.0)
-    np.testing.assert_array_equal(scene.bounds.min_bound, bounds.min_bound)
+    assert scene.bounds == bounds
     assert scene.mm_per_unit == 10.0
 
 
@@ -98,7 +98,7 @@ def test_windows_line_ends_are_read(folder: Path, name: str) -> None:
     path.write_bytes(path.read_bytes().replace(b"\n", b"\r\n"))
     after = read_middlebury(folder)
     assert [view.name for view in after.views] == [view.name for view in before.views]
-    np.testing.assert_array_equal(after.bounds.max_bound, before.bounds.max_bound)
+    assert after.bounds == before.bounds
     assert read_angles(folder)["toy2.png"] == (17.0, 120.0)
 
 
@@ -114,13 +114,13 @@ def test_windows_line_ends_are_read(folder: Path, name: str) -> None:
 )
 def test_a_box_is_found_however_it_is_written(folder: Path, low: str, high: str) -> None:
     (folder / "README.txt").write_text(README.format(low=low, high=high))
-    np.testing.assert_allclose(read_bounds(folder).min_bound, [-1, -1.05, -1.1])
-    np.testing.assert_allclose(read_bounds(folder).max_bound, [1, 1.05, 1.1])
+    np.testing.assert_allclose(read_bounds(folder).low, [-1, -1.05, -1.1])
+    np.testing.assert_allclose(read_bounds(folder).high, [1, 1.05, 1.1])
 
 
 def test_a_readme_in_another_case_is_found(folder: Path) -> None:
     (folder / "README.txt").rename(folder / "readme")
-    assert read_bounds(folder).max_bound.tolist() == [1.0, 1.05, 1.1]
+    assert read_bounds(folder).high == (1.0, 1.05, 1.1)
 
 
 def test_angles_are_read_and_optional(folder: Path) -> None:
@@ -148,7 +148,7 @@ def test_silhouettes_are_made_from_the_dark_background(folder: Path) -> None:
 
 def test_only_good_images_get_a_silhouette(folder: Path) -> None:
     (folder / "toy_good_silhouette_images.txt").write_text("toy2.png\r\n\r\ntoy0.png\r\n")
-    known = [view.silhouette is not None for view in read_middlebury(folder).views]
+    known = [view.has_silhouette for view in read_middlebury(folder).views]
     assert known == [True, False, True]
 
 
@@ -277,13 +277,13 @@ def test_a_box_that_no_camera_sees_is_an_error(folder: Path) -> None:
 
 def test_a_box_that_leaves_most_images_is_an_error(folder: Path) -> None:
     # Its centre is in view, its corners are not: they project to 72 / 6 * 3 = 36 pixels off.
-    bounds = make_bounds([-3, -3, -3], [3, 3, 3])
+    bounds = Bounds([-3, -3, -3], [3, 3, 3])
     with pytest.raises(SceneError, match="expected at least 4 of the bounding box's 8 corners inside most images"):
         read_middlebury(folder, bounds=bounds)
 
 
 def test_a_box_that_cuts_the_object_off_is_refused_in_a_readme_and_warned_of_when_given(folder: Path) -> None:
-    shifted = make_bounds([0, 0, -0.5], [1, 1, 0.5])
+    shifted = Bounds([0, 0, -0.5], [1, 1, 0.5])
     with pytest.warns(UserWarning, match=r"the bounding box holds only .*% of the bright pixels"):
         read_middlebury(folder, bounds=shifted)
     (folder / "README.txt").write_text(README.format(low="(0 0 -0.5)", high="(1 1 0.5)"))
@@ -292,8 +292,8 @@ def test_a_box_that_cuts_the_object_off_is_refused_in_a_readme_and_warned_of_whe
 
 
 def assert_same_scene(a: Scene, b: Scene) -> None:
-    np.testing.assert_allclose(a.bounds.min_bound, b.bounds.min_bound, rtol=0, atol=1e-12)
-    np.testing.assert_allclose(a.bounds.max_bound, b.bounds.max_bound, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(a.bounds.low, b.bounds.low, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(a.bounds.high, b.bounds.high, rtol=0, atol=1e-12)
     for view, other in zip(a.views, b.views, strict=True):
         assert view.name == other.name
         np.testing.assert_array_equal(view.K, other.K)
@@ -331,12 +331,12 @@ def test_views_whose_file_names_would_be_the_same_do_not_overwrite_each_other(tm
     views = tuple(
         replace(plain_view(name=name), image=image) for name, image in zip(("a.jpg", "a.ppm"), images, strict=True)
     )
-    scene = Scene(views, make_bounds([-1, -1, -1], [1, 1, 1]))
+    scene = Scene(views, Bounds([-1, -1, -1], [1, 1, 1]))
     try:
         folder = write_middlebury(scene, tmp_path / "set")
     except ValueError:
         return
-    read = read_middlebury(folder, bounds=make_bounds([-1.5, -1.2, -1], [1.5, 1.2, 1]), silhouettes="none")
+    read = read_middlebury(folder, bounds=Bounds([-1.5, -1.2, -1], [1.5, 1.2, 1]), silhouettes="none")
     assert [view.image[0, 0, 0] for view in read.views] == [90, 200]
 
 
@@ -348,7 +348,7 @@ def test_real_sets_are_read(real_data: Path, name: str, n_views: int, good: int)
     assert len(scene.views) == n_views
     assert scene.name == name
     assert all((view.width, view.height) == (640, 480) for view in scene.views)
-    assert sum(view.silhouette is not None for view in scene.views) == good
+    assert sum(view.has_silhouette for view in scene.views) == good
     assert len(read_angles(real_data / name)) == n_views
     # The dinosaur's box leaves some images.
     assert np.median(scene.corners_in_views()) >= 4
@@ -360,15 +360,15 @@ def test_another_real_sets_box_is_refused_even_when_given(real_data: Path) -> No
     with pytest.raises(SceneError, match="is this another set's box"):
         read_middlebury(real_data / "templeSparseRing", bounds=read_bounds(real_data / "templeRing"))
     with pytest.raises(SceneError, match="is this another set's box"):
-        read_middlebury(real_data / "dinoSparseRing", bounds=make_bounds([-0.4, -0.4, -0.4], [0.4, 0.4, 0.4]))
+        read_middlebury(real_data / "dinoSparseRing", bounds=Bounds([-0.4, -0.4, -0.4], [0.4, 0.4, 0.4]))
 
 
 def test_half_of_a_real_sets_box_is_warned_of_when_given(real_data: Path) -> None:
     whole = read_bounds(real_data / "templeSparseRing")
-    half = make_bounds(whole.min_bound, whole.max_bound - [0, whole.get_extent()[1] / 2, 0])
+    half = Bounds(whole.low, np.subtract(whole.high, [0, whole.extent[1] / 2, 0]))
     with pytest.warns(UserWarning, match=r"holds only .*% of the bright pixels"):
         scene = read_middlebury(real_data / "templeSparseRing", bounds=half)
-    np.testing.assert_array_equal(scene.bounds.max_bound, half.max_bound)
+    assert scene.bounds == half
 
 
 def test_one_real_set_with_another_ones_readme_is_refused(real_data: Path, tmp_path: Path) -> None:

@@ -19,7 +19,7 @@ from recon3d.errors import EmptyReconstructionError
 from recon3d.evaluation.distances import distance_to_mesh
 from recon3d.kernels.existence import likelihood_ratio, visibility
 from recon3d.kernels.rays import walk
-from recon3d.scene.bounds import make_bounds
+from recon3d.scene.bounds import Bounds
 from recon3d.scene.scene import Scene
 from recon3d.scene.silhouettes import without_silhouettes
 from recon3d.volume.carved import CarvedVolume, Label
@@ -154,7 +154,7 @@ def test_no_silhouettes_and_a_camera_inside_the_volume_still_run() -> None:
     scene = photographs(ball_mesh(), taken_by=ALL_ROUND)
     volume = CarvingVolume.enclosing(scene.bounds, n_voxels=4000)
     assert probabilistic_space_carving(without_silhouettes(scene), volume).volume.n_occupied
-    inside = Scene((plain_view(), plain_view(name="other")), make_bounds([-2, -2, -6], [2, 2, 2]))
+    inside = Scene((plain_view(), plain_view(name="other")), Bounds([-2, -2, -6], [2, 2, 2]))
     hull = probabilistic_space_carving(inside, CarvingVolume.enclosing(inside.bounds, voxel_size=0.25))
     assert (hull.volume.centers()[:, 2] > -5).all()
 

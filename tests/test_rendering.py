@@ -12,7 +12,7 @@ from recon3d.datasets.synthetic import BuiltInScene
 from recon3d.rendering.orbit import look_at, up_direction
 from recon3d.rendering.renderer import MODES, Renderer, pixel_rays
 from recon3d.rendering.sheets import comparison_sheet, portrait, turntable
-from recon3d.scene.bounds import bounds_corners, make_bounds
+from recon3d.scene.bounds import Bounds
 from recon3d.scene.scene import Scene
 from recon3d.scene.view import View
 
@@ -232,7 +232,7 @@ def test_up_is_the_axis_that_the_cameras_stand_around(seed: int) -> None:
         turned[:3, :3] = view.cam_from_world[:3, :3] @ R.T
         turned[:3, 3] = view.cam_from_world[:3, 3]
         views.append(replace(plain_view(view.K, turned, width=48, height=36), name=str(n)))
-    scene = Scene(tuple(views), make_bounds([-1, -1, -1], [1, 1, 1]))
+    scene = Scene(tuple(views), Bounds([-1, -1, -1], [1, 1, 1]))
     np.testing.assert_allclose(up_direction(scene), R @ [0, 0, 1], atol=1e-9)
 
 
@@ -275,7 +275,7 @@ def test_a_portrait_is_cut_to_the_bounds_and_upright_whichever_way_the_camera_wa
     K[:2, 2] = level.K[:2, 2]
     view = View.from_matrices(K, level.cam_from_world, level.image)
     upright = portrait(view.image, view, scene)
-    corners, _ = view.project(bounds_corners(scene.bounds))
+    corners, _ = view.project(scene.bounds.corners)
     np.testing.assert_allclose(upright.shape[1::-1], np.ptp(corners, axis=0) + 1, rtol=0, atol=2)
     u, v = corners.min(axis=0).astype(int)
     np.testing.assert_array_equal(upright, view.image[v : v + upright.shape[0], u : u + upright.shape[1]])

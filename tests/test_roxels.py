@@ -16,7 +16,7 @@ from recon3d.datasets.synthetic import BuiltInScene, Camera, photograph
 from recon3d.errors import EmptyReconstructionError
 from recon3d.evaluation.distances import distance_to_mesh
 from recon3d.rendering.orbit import look_at
-from recon3d.scene.bounds import make_bounds
+from recon3d.scene.bounds import Bounds
 from recon3d.scene.scene import Scene
 from recon3d.scene.silhouettes import without_silhouettes
 from recon3d.volume.carved import CarvedVolume, Label
@@ -45,7 +45,7 @@ def wall_behind_a_pane(opacity: float) -> Scene:
     for without, with_pane in zip(bare.views, covered.views, strict=True):
         mixed = (1 - opacity) * without.image.astype(float) + opacity * with_pane.image
         views.append(replace(with_pane, image=np.rint(mixed).astype(np.uint8)))
-    return replace(covered, views=tuple(views), bounds=make_bounds([-1.8, -1.4, -1.1], [1.8, 1.4, 1.1]))
+    return replace(covered, views=tuple(views), bounds=Bounds([-1.8, -1.4, -1.1], [1.8, 1.4, 1.1]))
 
 
 def opacity_across(hull: CarvedVolume, low: float, high: float) -> float:
@@ -119,7 +119,7 @@ def test_a_single_view_no_silhouettes_and_a_camera_inside_still_run() -> None:
     volume = CarvingVolume.enclosing(scene.bounds, n_voxels=4000)
     assert roxels(without_silhouettes(scene), volume).volume.n_occupied
     assert roxels(replace(scene, views=scene.views[:1]), volume).n_views.max() == 1
-    inside = Scene((plain_view(),), make_bounds([-2, -2, -6], [2, 2, 2]))
+    inside = Scene((plain_view(),), Bounds([-2, -2, -6], [2, 2, 2]))
     hull = roxels(inside, CarvingVolume.enclosing(inside.bounds, voxel_size=0.25), threshold=0.05)
     assert (hull.volume.centers()[:, 2] > -5).all()
 

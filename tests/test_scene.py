@@ -11,12 +11,12 @@ from scenes import plain_view, rotation
 
 from recon3d.datasets.synthetic import BuiltInScene
 from recon3d.errors import SceneError
-from recon3d.scene.bounds import bounds_corners, make_bounds
+from recon3d.scene.bounds import Bounds
 from recon3d.scene.scene import Scene
 from recon3d.scene.view import View
 
 SKEWED = np.array([[51.0, 3.0, 17.25], [0, 47.0, 14.5], [0, 0, 1]])
-BOX = make_bounds([-1, -1, -1], [1, 1, 1])
+BOX = Bounds([-1, -1, -1], [1, 1, 1])
 
 
 def pose(seed: int = 0) -> NDArray[np.float64]:
@@ -173,19 +173,41 @@ def test_a_silhouette_that_does_not_fit_the_image_is_refused(silhouette: NDArray
 
 
 def test_bounds_sort_their_corners() -> None:
-    bounds = make_bounds([1, -2, 3], [-1, 2, 5])
-    assert bounds.min_bound.tolist() == [-1, -2, 3]
-    assert bounds.max_bound.tolist() == [1, 2, 5]
-    corners = bounds_corners(bounds)
+    bounds = Bounds([1, -2, 3], [-1, 2, 5])
+    assert bounds.low == (-1, -2, 3)
+    assert bounds.high == (1, 2, 5)
+    corners = bounds.corners
     assert {tuple(corner) for corner in corners.tolist()} == {
         (x, y, z) for x in (-1, 1) for y in (-2, 2) for z in (3, 5)
     }
+    assert bounds.extent.tolist() == [2, 4, 2]
+    assert bounds.center.tolist() == [0, 0, 4]
+    assert bounds.longest == 4
+
+
+def test_bounds_are_values() -> None:
+    bounds = Bounds([-1, -2, 3], np.array([1, 2, 5]))
+    assert bounds == Bounds((1, 2, 3), (-1, -2, 5))
+    assert bounds != Bounds((1, 2, 3), (-1, -2, 6))
+    assert len({bounds, pickle.loads(pickle.dumps(bounds)), bounds.padded(0.5)}) == 2  # noqa: S301
+    assert bounds.padded(0.5) == Bounds([-1.5, -2.5, 2.5], [1.5, 2.5, 5.5])
+
+
+def test_bounds_are_made_of_open3ds_box_and_make_one() -> None:
+    bounds = Bounds([-1, -2, 3], [1, 2, 5])
+    box = bounds.to_open3d()
+    assert isinstance(box, o3d.geometry.AxisAlignedBoundingBox)
+    assert Bounds.of(box) == Bounds.of(([1, 2, 3], [-1, -2, 5])) == Bounds.of(bounds) == bounds
+    view = plain_view()
+    assert Scene((view,), box).bounds == bounds  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="expected Bounds, an AxisAlignedBoundingBox or two corners, got 7"):
+        Bounds.of(7)
 
 
 @pytest.mark.parametrize("low", [[0, 0], [0, 0, np.nan], [[0, 0, 0]]])
 def test_bounds_need_three_finite_numbers(low: list[float]) -> None:
     with pytest.raises(ValueError, match="expected two corners of three finite numbers"):
-        make_bounds(low, [1, 1, 1])
+        Bounds(low, [1, 1, 1])
 
 
 def test_a_scene_needs_a_view() -> None:
@@ -207,16 +229,16 @@ def test_the_world_unit_must_be_positive(unit: float) -> None:
 
 def test_bounds_without_volume_are_refused() -> None:
     with pytest.raises(SceneError, match="scene s: expected bounds with three positive sides"):
-        Scene((plain_view(),), make_bounds([0, 0, 0], [1, 0, 1]), "s")
+        Scene((plain_view(),), Bounds([0, 0, 0], [1, 0, 1]), "s")
 
 
 def test_bounds_that_no_camera_sees_are_refused() -> None:
     with pytest.raises(SceneError, match="scene s: no camera sees the bounds"):
-        Scene((plain_view(),), make_bounds([90, 90, 90], [91, 91, 91]), "s")
+        Scene((plain_view(),), Bounds([90, 90, 90], [91, 91, 91]), "s")
 
 
 def test_bounds_larger_than_the_image_are_seen() -> None:
-    assert Scene((plain_view(),), make_bounds([-9, -9, -2], [9, 9, 2])).corners_in_views().tolist() == [0]
+    assert Scene((plain_view(),), Bounds([-9, -9, -2], [9, 9, 2])).corners_in_views().tolist() == [0]
 
 
 def test_views_may_be_given_as_a_list() -> None:

@@ -12,7 +12,7 @@ from scipy.ndimage import binary_dilation, binary_erosion
 from recon3d.datasets.synthetic import BuiltInScene
 from recon3d.errors import DataError
 from recon3d.io.files import write_image
-from recon3d.scene.bounds import make_bounds
+from recon3d.scene.bounds import Bounds
 from recon3d.scene.scene import Scene
 from recon3d.scene.silhouettes import (
     bounds_mask,
@@ -24,7 +24,7 @@ from recon3d.scene.silhouettes import (
     without_silhouettes,
 )
 
-WIDE = make_bounds([-9, -9, -3], [9, 9, 3])  # fills the image of plain_view
+WIDE = Bounds([-9, -9, -3], [9, 9, 3])  # fills the image of plain_view
 
 
 def scene_with(image: NDArray[np.uint8]) -> Scene:
@@ -128,12 +128,12 @@ def test_a_silhouette_that_touches_the_border_stays_attached() -> None:
 def test_only_the_named_views_get_a_silhouette() -> None:
     views = tuple(replace(plain_view(name=name), silhouette=np.ones((30, 40), np.bool_)) for name in "abc")
     treated = with_threshold_silhouettes(Scene(views, WIDE), only={"b"})
-    assert [view.silhouette is not None for view in treated.views] == [False, True, False]
+    assert [view.has_silhouette for view in treated.views] == [False, True, False]
 
 
 def test_the_silhouette_is_cut_to_the_projected_bounds() -> None:
     image = np.full((60, 80, 3), 200, np.uint8)
-    scene = replace(scene_with(image), bounds=make_bounds([-1, -0.5, -0.1], [1, 0.5, 0.1]))
+    scene = replace(scene_with(image), bounds=Bounds([-1, -0.5, -0.1], [1, 0.5, 0.1]))
     silhouette = silhouette_of(scene)
     # The near face at depth 4.9 spans 50 / 4.9 = 10.2 pixels to each side of 39.5, and half of that up and down;
     # rounding outwards may add a pixel and a half.
@@ -147,21 +147,19 @@ def test_every_point_of_the_bounds_projects_into_their_mask(temple: BuiltInScene
     rng = np.random.default_rng(0)
     for low, high in ((0.1, 0.9), (0.35, 0.7), (0.0, 1.0)):
         whole = temple.scene.bounds
-        extent = whole.get_extent()
-        scene = replace(
-            temple.scene, bounds=make_bounds(whole.min_bound + low * extent, whole.min_bound + high * extent)
-        )
+        corners = (np.add(whole.low, share * whole.extent) for share in (low, high))
+        scene = replace(temple.scene, bounds=Bounds(*corners))
         for view in scene.views:
-            points = rng.uniform(scene.bounds.min_bound, scene.bounds.max_bound, (20000, 3))
+            points = rng.uniform(scene.bounds.low, scene.bounds.high, (20000, 3))
             # Half of them on a face, where the outline is.
-            points[::2, 0] = scene.bounds.max_bound[0]
-            points[::4, 2] = scene.bounds.max_bound[2]
+            points[::2, 0] = scene.bounds.high[0]
+            points[::4, 2] = scene.bounds.high[2]
             u, v = np.rint(view.project(points[view.sees(points)])[0]).astype(int).T
             assert bounds_mask(scene, view)[v, u].all()
 
 
 def test_bounds_that_reach_behind_the_camera_fill_the_mask() -> None:
-    scene = Scene((plain_view(),), make_bounds([-1, -1, -20], [1, 1, 1]))
+    scene = Scene((plain_view(),), Bounds([-1, -1, -20], [1, 1, 1]))
     assert bounds_mask(scene, scene.views[0]).all()
 
 
@@ -178,7 +176,7 @@ def test_negative_radii_are_refused(radii: dict[str, int]) -> None:
 
 
 def test_silhouettes_can_be_dropped(temple: BuiltInScene) -> None:
-    assert all(view.silhouette is not None for view in temple.scene.views)
+    assert all(view.has_silhouette for view in temple.scene.views)
     assert all(view.silhouette is None for view in without_silhouettes(temple.scene).views)
 
 
@@ -241,7 +239,7 @@ def test_the_overlay_tints_the_background_and_outlines_the_bounds() -> None:
     silhouette[:, :40] = True
     image = np.full((60, 80, 3), 100, np.uint8)
     view = replace(plain_view(width=80, height=60, name="a.png"), image=image, silhouette=silhouette)
-    scene = Scene((view,), make_bounds([-1, -1, -0.1], [1, 1, 0.1]))
+    scene = Scene((view,), Bounds([-1, -1, -0.1], [1, 1, 0.1]))
     picture = overlay(scene, view)
     assert picture[5, 5].tolist() == [100, 100, 100]
     assert picture[5, 75].tolist() == [50, 70, 140]
@@ -276,11 +274,11 @@ def test_a_dark_part_inside_the_object_stays_in_its_segment() -> None:
 def test_only_the_named_views_are_segmented() -> None:
     scene = photographs(ball_mesh(), plain, cameras(3))
     treated = with_segmented_silhouettes(scene, only={"view02.png"})
-    assert [view.silhouette is not None for view in treated.views] == [False, True, False]
+    assert [view.has_silhouette for view in treated.views] == [False, True, False]
 
 
 def test_a_black_image_has_an_empty_segment() -> None:
-    scene = replace(scene_with(np.zeros((60, 80, 3), np.uint8)), bounds=make_bounds([-1, -0.5, -0.1], [1, 0.5, 0.1]))
+    scene = replace(scene_with(np.zeros((60, 80, 3), np.uint8)), bounds=Bounds([-1, -0.5, -0.1], [1, 0.5, 0.1]))
     (view,) = with_segmented_silhouettes(scene).views
     assert view.silhouette is not None
     assert not view.silhouette.any()

@@ -19,7 +19,7 @@ from recon3d.consistency.fuzzy import FuzzyAdaptiveHysteresis
 from recon3d.datasets.synthetic import BuiltInScene, ring
 from recon3d.errors import EmptyReconstructionError, VisibilityError
 from recon3d.evaluation.distances import distance_to_mesh
-from recon3d.scene.bounds import make_bounds
+from recon3d.scene.bounds import Bounds
 from recon3d.scene.scene import Scene
 from recon3d.scene.silhouettes import without_silhouettes
 from recon3d.volume.carved import CarvedVolume, Label
@@ -181,7 +181,7 @@ def test_no_silhouettes_and_a_single_view_still_run() -> None:
 
 def test_a_camera_inside_the_volume_sees_the_box_before_it() -> None:
     # The camera at (0, 0, -5) looks along +z; the volume begins behind it.
-    scene = Scene((plain_view(),), make_bounds([-2, -2, -6], [2, 2, 2]))
+    scene = Scene((plain_view(),), Bounds([-2, -2, -6], [2, 2, 2]))
     volume = CarvingVolume.enclosing(scene.bounds, voxel_size=0.25)
     hull = space_carving(scene, volume)
     assert hull.volume.n_occupied

@@ -41,7 +41,7 @@ def stored_throughout(occupied: NDArray[np.bool_], voxel_size: float = 0.5) -> S
 
 
 def test_the_voxel_grid_holds_the_surface_with_its_lattice_and_colours(temple: BuiltInScene) -> None:
-    hull = fine_visual_hull(temple.scene, temple.scene.bounds.get_max_extent() / 50)
+    hull = fine_visual_hull(temple.scene, temple.scene.bounds.longest / 50)
     back = CarvingVolume.from_voxel_grid(hull.to_voxel_grid(), shape=hull.shape)
     np.testing.assert_array_equal(back.origin, hull.origin)
     assert back.voxel_size == hull.voxel_size
@@ -55,7 +55,7 @@ def test_the_voxel_grid_holds_the_surface_with_its_lattice_and_colours(temple: B
 @pytest.mark.parametrize("known", [True, False], ids=["distance", "occupancy"])
 @pytest.mark.parametrize("carve", [False, True], ids=["hull", "carved"])
 def test_the_sparse_mesh_is_the_dense_one(carve: bool, known: bool, smoothing: int, temple: BuiltInScene) -> None:
-    size = temple.scene.bounds.get_max_extent() / 90
+    size = temple.scene.bounds.longest / 90
     volume = CarvingVolume.enclosing(temple.scene.bounds, voxel_size=size)
     if carve:
         sparse = fine_generalized_voxel_coloring(temple.scene, size, StandardDeviation(25))
@@ -114,7 +114,7 @@ def test_boxes_reach_over_the_lattice_into_empty_space() -> None:
 
 
 def test_sparse_volumes_show_themselves(temple: BuiltInScene) -> None:
-    hull = fine_visual_hull(temple.scene, temple.scene.bounds.get_max_extent() / 40)
+    hull = fine_visual_hull(temple.scene, temple.scene.bounds.longest / 40)
     assert "40 = " in str(hull.summary()["voxels"])
     picture, dense = hull.picture(), visual_hull(temple.scene, hull.dense().with_occupancy(np.ones(hull.shape, bool)))
     assert picture.shape == dense.volume.picture().shape

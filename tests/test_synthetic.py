@@ -48,8 +48,8 @@ def test_every_built_in_scene_is_made_by_its_name() -> None:
 
 
 def test_the_scene_holds_the_surface_it_was_photographed_from(temple: BuiltInScene) -> None:
-    assert (temple.scene.bounds.min_bound <= temple.ground_truth.get_min_bound()).all()
-    assert (temple.scene.bounds.max_bound >= temple.ground_truth.get_max_bound()).all()
+    assert (temple.scene.bounds.low <= temple.ground_truth.get_min_bound()).all()
+    assert (temple.scene.bounds.high >= temple.ground_truth.get_max_bound()).all()
     assert len(temple.scene.views) == 8
     vertices = np.asarray(temple.ground_truth.vertices)
     for view in temple.scene.views:

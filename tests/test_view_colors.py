@@ -14,7 +14,7 @@ from recon3d.consistency.base import Patches, Verdict
 from recon3d.consistency.histogram import Histogram
 from recon3d.kernels.view_colors import cached_distances, largest_norms, shared_bins, view_sums
 from recon3d.kernels.windows import sample_windows
-from recon3d.scene.bounds import make_bounds
+from recon3d.scene.bounds import Bounds
 from recon3d.scene.packed import PackedViews
 from recon3d.scene.scene import Scene
 from recon3d.scene.view import View
@@ -243,7 +243,7 @@ def test_cameras_opposite_each_other_still_get_windows() -> None:
     pose = np.diag([-1.0, 1.0, -1.0, 1.0])
     pose[2, 3] = 5.0
     behind = plain_view(cam_from_world=pose, name="behind")
-    scene = Scene((ahead, behind), make_bounds([-1, -1, -1], [1, 1, 1]))
+    scene = Scene((ahead, behind), Bounds([-1, -1, -1], [1, 1, 1]))
     arrays = scene.packed
     windows = np.empty((1, 2, 9), np.float32)
     sample_windows(

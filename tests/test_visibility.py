@@ -11,11 +11,11 @@ from scipy.optimize import linprog, minimize
 from recon3d.carving.visibility import largest_admissible_views, require_sweep_direction, spread_views, sweep_direction
 from recon3d.errors import VisibilityError
 from recon3d.rendering.orbit import look_at
-from recon3d.scene.bounds import bounds_corners, make_bounds
+from recon3d.scene.bounds import Bounds
 from recon3d.scene.scene import Scene
 
-BOUNDS = make_bounds([-1.0, -0.7, -0.5], [0.9, 0.8, 0.6])
-CORNERS = bounds_corners(BOUNDS)
+BOUNDS = Bounds([-1.0, -0.7, -0.5], [0.9, 0.8, 0.6])
+CORNERS = BOUNDS.corners
 K = np.array([[30.0, 0, 19.5], [0, 30.0, 14.5], [0, 0, 1]])
 
 

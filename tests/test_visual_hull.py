@@ -24,7 +24,7 @@ from recon3d.consistency.deviation import StandardDeviation
 from recon3d.datasets.synthetic import BuiltInScene, little_temple
 from recon3d.errors import EmptyReconstructionError, SceneError
 from recon3d.evaluation.distances import distance_to_mesh, evaluate
-from recon3d.scene.bounds import make_bounds
+from recon3d.scene.bounds import Bounds
 from recon3d.scene.neighbours import matching_neighbours
 from recon3d.scene.scene import Scene
 from recon3d.scene.silhouettes import without_silhouettes
@@ -160,7 +160,7 @@ def test_patches_of_the_item_buffer_are_the_pixels_that_see_the_voxel() -> None:
 def test_a_camera_inside_the_volume_sees_from_its_own_voxel_on() -> None:
     scene = little_temple(n_views=2, width=32, height=24).scene
     center = scene.views[0].center
-    wide = replace(scene, bounds=make_bounds(np.minimum(scene.bounds.min_bound, center - 0.05), center + 0.05))
+    wide = replace(scene, bounds=Bounds(np.minimum(scene.bounds.low, center - 0.05), center + 0.05))
     volume = volume_of(wide, 3000)
     buffer = ItemBuffer(wide.packed, volume)
     buffer.advance(np.ones(volume.shape, np.bool_))

@@ -13,7 +13,7 @@ from scenes import ball_volume, full_volume, rotation
 
 from recon3d.errors import EmptyReconstructionError, VolumeTooLargeError
 from recon3d.io.geometry import read_geometry, write_geometry
-from recon3d.scene.bounds import make_bounds
+from recon3d.scene.bounds import Bounds
 from recon3d.volume.dense import CarvingVolume
 from recon3d.volume.lattice import BYTES_PER_VOXEL
 
@@ -38,28 +38,28 @@ def assert_same_volume(a: CarvingVolume, b: CarvingVolume) -> None:
 
 
 def test_an_enclosing_volume_covers_the_bounds_and_is_centred_on_them() -> None:
-    bounds = make_bounds([-1, 2, 3], [0.5, 2.4, 3.77])
+    bounds = Bounds([-1, 2, 3], [0.5, 2.4, 3.77])
     volume = CarvingVolume.enclosing(bounds, voxel_size=0.1)
     assert volume.shape == (15, 4, 8)
     top = volume.origin + volume.voxel_size * np.array(volume.shape)
     # Rounding of sums like 0.1 * 15 alone.
-    assert (volume.origin <= bounds.min_bound + 1e-9).all()
-    assert (top >= bounds.max_bound - 1e-9).all()
-    np.testing.assert_allclose((volume.origin + top) / 2, bounds.get_center(), atol=1e-12)
+    assert (volume.origin <= np.add(bounds.low, 1e-9)).all()
+    assert (top >= np.subtract(bounds.high, 1e-9)).all()
+    np.testing.assert_allclose((volume.origin + top) / 2, bounds.center, atol=1e-12)
     assert volume.occupied.all()
     assert not volume.colors.any()
 
 
 @pytest.mark.parametrize("n_voxels", [1, 1000, 50_000])
 def test_a_number_of_voxels_is_met_approximately(n_voxels: int) -> None:
-    volume = CarvingVolume.enclosing(make_bounds([0, 0, 0], [1, 2, 0.7]), n_voxels=n_voxels)
+    volume = CarvingVolume.enclosing(Bounds([0, 0, 0], [1, 2, 0.7]), n_voxels=n_voxels)
     # Each side is rounded up by less than one voxel.
     sides = np.array([1, 2, 0.7]) / volume.voxel_size
     assert n_voxels - 1e-6 <= volume.occupied.size <= np.prod(sides + 1) + 1e-6
 
 
 def test_a_voxel_larger_than_the_bounds_makes_one_voxel() -> None:
-    assert CarvingVolume.enclosing(make_bounds([0, 0, 0], [1, 2, 3]), voxel_size=10).shape == (1, 1, 1)
+    assert CarvingVolume.enclosing(Bounds([0, 0, 0], [1, 2, 3]), voxel_size=10).shape == (1, 1, 1)
 
 
 @pytest.mark.parametrize(
@@ -74,13 +74,13 @@ def test_a_voxel_larger_than_the_bounds_makes_one_voxel() -> None:
 )
 def test_senseless_sizes_are_refused(options: dict[str, float], message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        CarvingVolume.enclosing(make_bounds([0, 0, 0], [1, 1, 1]), **options)  # type: ignore[arg-type]
+        CarvingVolume.enclosing(Bounds([0, 0, 0], [1, 1, 1]), **options)  # type: ignore[arg-type]
 
 
 def test_a_volume_that_does_not_fit_into_memory_is_refused_with_a_size_that_would(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    bounds = make_bounds([0, 0, 0], [1, 1, 1])
+    bounds = Bounds([0, 0, 0], [1, 1, 1])
     free = 1000 * BYTES_PER_VOXEL
     monkeypatch.setattr(psutil, "virtual_memory", lambda: SimpleNamespace(available=free))
     with pytest.raises(VolumeTooLargeError, match=r"20 x 20 x 20 voxels of 0\.05 would need .* GiB") as caught:
@@ -95,7 +95,7 @@ def test_a_volume_that_does_not_fit_into_memory_is_refused_with_a_size_that_woul
 
 def test_an_absurd_volume_is_refused_before_it_is_allocated() -> None:
     with pytest.raises(VolumeTooLargeError, match="would fit"):
-        CarvingVolume.enclosing(make_bounds([0, 0, 0], [1, 1, 1]), voxel_size=1e-7)
+        CarvingVolume.enclosing(Bounds([0, 0, 0], [1, 1, 1]), voxel_size=1e-7)
 
 
 @pytest.mark.parametrize(

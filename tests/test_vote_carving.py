@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 from scenes import full_volume, plain_view
 
-from recon3d import CarvingVolume, Scene, View, make_bounds
+from recon3d import Bounds, CarvingVolume, Scene, View
 from recon3d.carving.depth_votes import carve_by_depths, hull_of_field
 from recon3d.volume.carved import Label
 
@@ -41,7 +41,7 @@ def carved(
 ) -> NDArray[np.float32]:
     """The field, 20 deep everywhere, after the votes of depths and weights (40, 40), or one for all pixels."""
     before = np.full(volume.shape, 20, np.float32) if field is None else field
-    scene = Scene(tuple(replace(view, name=f"{n}") for n in range(len(maps))), make_bounds([0, 0, 0], [SIDE] * 3))
+    scene = Scene(tuple(replace(view, name=f"{n}") for n in range(len(maps))), Bounds([0, 0, 0], [SIDE] * 3))
     depths, weights = (
         np.stack([np.broadcast_to(np.asarray(part, np.float32), (40, 40)) for part in parts])
         for parts in zip(*maps, strict=True)
@@ -101,7 +101,7 @@ def test_a_cavity_without_an_opening_is_filled(view: View, volume: CarvingVolume
 def test_the_hull_of_a_field_is_what_is_positive_coloured_where_it_is_seen(view: View, volume: CarvingVolume) -> None:
     image = np.zeros_like(view.image)
     image[:, :20], image[:, 20:] = [200, 0, 0], [0, 100, 0]
-    scene = Scene((replace(view, image=image),), make_bounds([0, 0, 0], [SIDE] * 3))
+    scene = Scene((replace(view, image=image),), Bounds([0, 0, 0], [SIDE] * 3))
     field = np.broadcast_to((np.arange(SIDE) - 5.5).astype(np.float64), volume.shape)
     hull = hull_of_field(field, np.full(volume.shape, Label.BACKGROUND), volume, scene.packed)
     assert (hull.labels[..., :6] == Label.BACKGROUND).all()

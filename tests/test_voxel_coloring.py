@@ -31,7 +31,7 @@ from recon3d.consistency.fuzzy import FuzzyAdaptiveHysteresis
 from recon3d.datasets.synthetic import BuiltInScene, ring
 from recon3d.errors import EmptyReconstructionError, VisibilityError
 from recon3d.evaluation.distances import distance_to_mesh
-from recon3d.scene.bounds import bounds_corners, make_bounds
+from recon3d.scene.bounds import Bounds
 from recon3d.scene.scene import Scene
 from recon3d.scene.silhouettes import without_silhouettes
 from recon3d.scene.view import View
@@ -86,7 +86,7 @@ def signed_distance(mesh: o3d.geometry.TriangleMesh, points: NDArray[np.float64]
 
 
 def direction_of(scene: Scene, volume: CarvingVolume) -> NDArray[np.float64]:
-    found = sweep_direction(scene.centers, bounds_corners(volume.bounds))
+    found = sweep_direction(scene.centers, volume.bounds.corners)
     assert found is not None
     return found.direction
 
@@ -152,7 +152,7 @@ def test_intensity_by_channels_agrees_with_the_reference(name: str) -> None:
 def test_voxels_smaller_than_a_pixel_agree_with_the_reference() -> None:
     scene = world("noisy ball")
     # A pixel covers 6 / 72 = 0.083 world units at the origin, so most boxes hold one pixel's centre or none.
-    bounds = make_bounds([0.31, -0.42, 0.1], [1.03, 0.33, 0.61])
+    bounds = Bounds([0.31, -0.42, 0.1], [1.03, 0.33, 0.61])
     volume = CarvingVolume.enclosing(bounds, voxel_size=0.059)
     scene = replace(scene, bounds=bounds)
     assert_agree(voxel_coloring(scene, volume), color_voxels(scene, volume, direction_of(scene, volume)))
@@ -192,7 +192,7 @@ def test_the_order_of_the_views_does_not_matter_when_the_sweep_runs_along_an_axi
     mesh = two_planes_mesh()
     eyes = ring(np.zeros(3), n_views=8, distance=6.0, width=48, height=36, focal=72.0, elevation=50.0)
     scene = with_noise(photographs(mesh, taken_by=eyes), 4.0, seed=5)
-    scene = replace(scene, bounds=make_bounds([-1.2, -1.2, -0.8], [1.2, 1.2, 0.8]))
+    scene = replace(scene, bounds=Bounds([-1.2, -1.2, -0.8], [1.2, 1.2, 0.8]))
     volume = CarvingVolume.enclosing(scene.bounds, voxel_size=0.1)
     hull = voxel_coloring(scene, volume)
     rng = np.random.default_rng(0)
@@ -266,7 +266,7 @@ def test_the_background_never_carves_a_voxel_that_holds_a_part_of_the_object(nam
     scene = photographs(MESHES[name], taken_by=cameras(6), supersampling=4)
     # A footprint is made of whole pixels, so what a voxel shows may lie in a pixel next to it: one pixel of margin.
     views = tuple(replace(view, silhouette=binary_dilation(view.silhouette, ONE_PIXEL)) for view in scene.views)
-    scene = replace(scene, views=views, bounds=make_bounds([-1.6] * 3, [1.6] * 3))
+    scene = replace(scene, views=views, bounds=Bounds([-1.6] * 3, [1.6] * 3))
     volume = CarvingVolume.enclosing(scene.bounds, n_voxels=n_voxels)
     hull = voxel_coloring(scene, volume)
     points = np.asarray(MESHES[name].sample_points_uniformly(20000).points)
@@ -428,7 +428,7 @@ def test_cameras_all_around_are_refused_by_name() -> None:
 
 def test_a_volume_that_reaches_past_a_camera_is_refused_even_when_the_bounds_do_not() -> None:
     view = plain_view()
-    scene = Scene((view,), make_bounds([-0.5, -0.5, -0.5], [0.5, 0.5, 0.5]))
+    scene = Scene((view,), Bounds([-0.5, -0.5, -0.5], [0.5, 0.5, 0.5]))
     # The camera stands at (0, 0, -5), inside this volume.
     volume = full_volume((20, 20, 20), 0.7, (-7.0, -7.0, -7.0))
     with pytest.raises(VisibilityError):
@@ -437,7 +437,7 @@ def test_a_volume_that_reaches_past_a_camera_is_refused_even_when_the_bounds_do_
 
 def test_voxels_outside_every_image_stay_unseen() -> None:
     view = plain_view()  # sees 40 / 50 * 5 = 4 units across at the origin
-    scene = Scene((view,), make_bounds([-4, -0.5, -0.5], [4, 0.5, 0.5]))
+    scene = Scene((view,), Bounds([-4, -0.5, -0.5], [4, 0.5, 0.5]))
     volume = CarvingVolume.enclosing(scene.bounds, voxel_size=0.25)
     hull = voxel_coloring(scene, volume)
     pixels, _ = view.project(volume.centers())
@@ -453,9 +453,9 @@ def test_a_silhouette_does_not_carve_what_lies_partly_outside_the_image() -> Non
     blind = View.from_matrices(
         plain_view().K, plain_view().cam_from_world, plain_view().image, silhouette=empty, name="blind"
     )
-    scene = Scene((blind,), make_bounds([1.75, -0.25, -0.25], [2.25, 0.25, 0.25]))
+    scene = Scene((blind,), Bounds([1.75, -0.25, -0.25], [2.25, 0.25, 0.25]))
     volume = full_volume((1, 1, 1), 0.5, (1.75, -0.25, -0.25))
-    pixels, _ = blind.project(bounds_corners(scene.bounds))
+    pixels, _ = blind.project(scene.bounds.corners)
     assert pixels[:, 0].min() < 39 < 40 < pixels[:, 0].max()
     with pytest.raises(EmptyReconstructionError, match="1 unseen, 0 background"):
         voxel_coloring(scene, volume)

@@ -115,7 +115,7 @@ def fine_generalized_voxel_coloring(
     Culbertson, Malzbender, Slabaugh, "Generalized voxel coloring", Vision Algorithms 1999.
     """
     test = FuzzyAdaptiveHysteresis() if test is None else test
-    if any(view.silhouette is not None for view in scene.views):
+    if any(view.has_silhouette for view in scene.views):
         bricks = hull_bricks(scene, voxel_size)
     else:
         bricks = Bricks(*enclosing_lattice(scene.bounds, voxel_size), voxel_size)

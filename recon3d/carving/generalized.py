@@ -68,7 +68,7 @@ def generalized_voxel_coloring(
     test = FuzzyAdaptiveHysteresis() if test is None else test
     neighbour_offsets(connectivity)  # refuses what is no connectivity
     views = scene.packed
-    known = any(view.silhouette is not None for view in scene.views)
+    known = any(view.has_silhouette for view in scene.views)
     field = hull_distance(scene, volume) if known else None
     occupied = volume.occupied & (field > 0) if field is not None else volume.occupied.copy()
     hull = CarvedVolume.untouched(volume, field)

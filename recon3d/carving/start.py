@@ -95,7 +95,7 @@ def nothing_inside(scene: Scene, share: Callable[[Scene], float]) -> EmptyRecons
 
 
 def _with_silhouette(scene: Scene) -> tuple[View, ...]:
-    return tuple(view for view in scene.views if view.silhouette is not None)
+    return tuple(view for view in scene.views if view.has_silhouette)
 
 
 def outline_distance(mask: NDArray[np.bool_]) -> NDArray[np.float32]:

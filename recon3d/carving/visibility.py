@@ -7,12 +7,11 @@ from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
-import open3d as o3d
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from recon3d.errors import VisibilityError
-from recon3d.scene.bounds import bounds_corners
+from recon3d.scene.bounds import Bounds
 from recon3d.scene.scene import Scene
 
 _BLOCK = 10_000  # pairs of limits that are tried at once
@@ -76,7 +75,7 @@ def largest_admissible_views(scene: Scene) -> list[str]:
     ------
     VisibilityError : no view is admissible: every camera is inside or too near the volume.
     """
-    corners = bounds_corners(scene.bounds)
+    corners = scene.bounds.corners
     centers = scene.centers
     best, widest = np.zeros(len(centers), np.bool_), 0.0
     for candidates in _candidate_directions(centers, corners):
@@ -95,9 +94,9 @@ def largest_admissible_views(scene: Scene) -> list[str]:
     return [scene.views[n].name for n in np.flatnonzero(best)]
 
 
-def require_sweep_direction(scene: Scene, bounds: o3d.geometry.AxisAlignedBoundingBox) -> SweepDirection:
+def require_sweep_direction(scene: Scene, bounds: Bounds) -> SweepDirection:
     """Sweep direction of a scene's cameras into a box, or an error that names the views to leave out."""
-    found = sweep_direction(scene.centers, bounds_corners(bounds))
+    found = sweep_direction(scene.centers, bounds.corners)
     if found is None:
         kept = largest_admissible_views(replace(scene, bounds=bounds))
         offending = [view.name for view in scene.views if view.name not in kept]

@@ -141,7 +141,7 @@ class _Matcher:
         items = buffer.items[:, :: settings.stride, :: settings.stride]
         depths = np.zeros(items.shape, np.float32)
         weights = np.zeros(items.shape, np.float32)
-        reach = settings.reach * float(min(self.scene.bounds.get_extent()))
+        reach = settings.reach * float(min(self.scene.bounds.extent))
         for n, others in enumerate(self.neighbours):
             rows, columns = np.nonzero(items[n] >= 0)
             voxels = np.column_stack(np.unravel_index(items[n][rows, columns], self.volume.shape))

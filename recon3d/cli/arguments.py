@@ -32,7 +32,7 @@ def load(scene: str, bounds: str | None, silhouettes: str, mm_per_unit: float = 
     """Scene of a folder or of a built-in name."""
     from recon3d.datasets.synthetic import SCENES
     from recon3d.io import open_scene
-    from recon3d.scene.bounds import make_bounds
+    from recon3d.scene.bounds import Bounds
     from recon3d.scene.silhouettes import without_silhouettes
 
     if scene in SCENES and not Path(scene).exists():
@@ -44,7 +44,7 @@ def load(scene: str, bounds: str | None, silhouettes: str, mm_per_unit: float = 
             return replace(bare, notes={**bare.notes, "silhouettes from": "none"})
         return built_in
     numbers = numbers_of("--bounds", bounds, "six numbers X0,Y0,Z0,X1,Y1,Z1")
-    box = make_bounds(numbers[:3], numbers[3:]) if numbers else None
+    box = Bounds(numbers[:3], numbers[3:]) if numbers else None
     with progress() as report:
         report("reading", 0, 1)
         loaded = open_scene(scene, bounds=box, silhouettes=silhouettes, mm_per_unit=mm_per_unit)

@@ -175,7 +175,7 @@ def info(
     for view in loaded.views:
         angle = "lat {:.1f} lon {:.1f}".format(*angles[view.name]) if view.name in angles else ""
         use = "used" if view.name in admissible else "-"
-        known = "silhouette" if view.silhouette is not None else "no silhouette"
+        known = "silhouette" if view.has_silhouette else "no silhouette"
         typer.echo(f"  {view.name:24} {use:6} {known:14} {angle}".rstrip())
     if output:
         sheet = thumbnails([overlay(loaded, view) for view in loaded.views], width=320, columns=4)

@@ -14,7 +14,7 @@ from scipy.ndimage import map_coordinates
 
 from recon3d.rendering.orbit import look_at
 from recon3d.rendering.renderer import Renderer, pixel_rays
-from recon3d.scene.bounds import make_bounds
+from recon3d.scene.bounds import Bounds
 from recon3d.scene.scene import Scene
 from recon3d.scene.view import View
 
@@ -79,7 +79,7 @@ def little_temple(
     scene = photograph(ground_truth, temple_texture, cameras, supersampling=supersampling)
     scene = Scene(
         scene.views,
-        make_bounds(low - pad, high + pad),
+        Bounds(low - pad, high + pad),
         "little-temple",
         notes=_NOTES,
     )
@@ -139,7 +139,7 @@ def photograph(
                 camera.K, camera.cam_from_world, image, silhouette=coverage > 0, name=f"view{n + 1:02d}.png"
             )
         )
-    return Scene(tuple(views), mesh.get_axis_aligned_bounding_box(), "photographs")
+    return Scene(tuple(views), Bounds.of(mesh.get_axis_aligned_bounding_box()), "photographs")
 
 
 def temple_mesh() -> o3d.geometry.TriangleMesh:

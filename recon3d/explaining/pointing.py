@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from recon3d.carving.observer import Voxel
 from recon3d.explaining.evidence import Silhouettes
@@ -21,7 +23,7 @@ def voxel_at(volume: CarvingVolume, at: ArrayLike | None) -> Voxel:
         raise ValueError(f"expected a place of three finite numbers, got {at!r}")
     index = np.floor((place - volume.origin) / volume.voxel_size).astype(np.int64)
     if (index < 0).any() or (index >= volume.shape).any():
-        low, high = (place_text(corner) for corner in (volume.bounds.min_bound, volume.bounds.max_bound))
+        low, high = (place_text(corner) for corner in (volume.bounds.low, volume.bounds.high))
         raise ValueError(f"the place {place_text(place)} lies outside the volume, which spans {low} to {high}")
     i, j, k = (int(n) for n in index)
     return i, j, k
@@ -66,6 +68,6 @@ def most_telling(scene: Scene, views: PackedViews, hull: CarvedVolume, ray: list
     return best, f"of {len(ray)} voxels on the pixel's ray none is accepted; the fewest silhouettes exclude this one"
 
 
-def place_text(point: NDArray[np.float64]) -> str:
+def place_text(point: Iterable[float]) -> str:
     """A place (3,) as the command line takes it."""
     return ",".join(f"{x:.6g}" for x in point)

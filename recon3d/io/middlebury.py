@@ -11,12 +11,11 @@ import warnings
 from pathlib import Path
 
 import numpy as np
-import open3d as o3d
 from numpy.typing import NDArray
 
 from recon3d.errors import DataError, SceneError
 from recon3d.io.files import write_image, write_text
-from recon3d.scene.bounds import bounds_corners, make_bounds
+from recon3d.scene.bounds import Bounds
 from recon3d.scene.camera import check_extrinsics, check_intrinsics
 from recon3d.scene.photograph import read_image
 from recon3d.scene.scene import Scene
@@ -46,7 +45,7 @@ def is_middlebury(folder: Path) -> bool:
 def read_middlebury(
     folder: Path | str,
     *,
-    bounds: o3d.geometry.AxisAlignedBoundingBox | None = None,
+    bounds: Bounds | None = None,
     silhouettes: str | Path = "auto",
     mm_per_unit: float = 1000.0,
 ) -> Scene:
@@ -70,7 +69,8 @@ def read_middlebury(
     views = _read_views(par_file)
     given = bounds is not None
     if bounds is None:
-        bounds = _padded(read_bounds(folder))
+        bounds = read_bounds(folder)
+        bounds = bounds.padded(PADDING * bounds.longest)
     scene = Scene(tuple(views), bounds, folder.resolve().name, mm_per_unit, {"format": "Middlebury"})
     _check_box(scene)
     own_masks = folder / SILHOUETTE_FOLDER
@@ -100,7 +100,8 @@ def write_middlebury(scene: Scene, folder: Path | str) -> Path:
         write_image(folder / name, view.image)
         if view.silhouette is not None:
             write_image(folder / SILHOUETTE_FOLDER / name, view.silhouette)
-    low, high = (" ".join(repr(float(x)) for x in corner) for corner in _unpadded(scene.bounds))
+    tight = scene.bounds.padded(-PADDING / (1 + 2 * PADDING) * scene.bounds.longest)
+    low, high = (" ".join(map(repr, corner)) for corner in (tight.low, tight.high))
     write_text(
         folder / "README.txt",
         f"{scene.name}: {len(scene.views)} views\n\nThe (tight) bounding box is\n({low})\n({high})\n",
@@ -112,7 +113,7 @@ def write_middlebury(scene: Scene, folder: Path | str) -> Path:
     return folder
 
 
-def read_bounds(folder: Path | str) -> o3d.geometry.AxisAlignedBoundingBox:
+def read_bounds(folder: Path | str) -> Bounds:
     """The bounding box as the README of a set gives it, not padded.
 
     Raises
@@ -127,7 +128,7 @@ def read_bounds(folder: Path | str) -> o3d.geometry.AxisAlignedBoundingBox:
     if not found:
         raise DataError(f"{readmes[0]}: expected a bounding box '(x y z) (x y z)'; give bounds instead")
     numbers = [float(number) for number in found.groups()]
-    return make_bounds(numbers[:3], numbers[3:])
+    return Bounds(numbers[:3], numbers[3:])
 
 
 def read_angles(folder: Path | str) -> dict[str, tuple[float, float]]:
@@ -221,19 +222,9 @@ def _good_silhouettes(folder: Path, scene: Scene) -> set[str] | None:
     return good
 
 
-def _padded(bounds: o3d.geometry.AxisAlignedBoundingBox) -> o3d.geometry.AxisAlignedBoundingBox:
-    pad = PADDING * bounds.get_max_extent()
-    return make_bounds(bounds.min_bound - pad, bounds.max_bound + pad)
-
-
-def _unpadded(bounds: o3d.geometry.AxisAlignedBoundingBox) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    pad = bounds.get_max_extent() * PADDING / (1 + 2 * PADDING)
-    return np.asarray(bounds.min_bound + pad), np.asarray(bounds.max_bound - pad)
-
-
 def _check_box(scene: Scene) -> None:
     """Refuse a box that leaves the images, as another set's frame would have it."""
-    corners = bounds_corners(scene.bounds)
+    corners = scene.bounds.corners
     seen = [int(view.sees(corners).sum()) for view in scene.views]
     if np.median(seen) < 4:
         worst = int(np.argmin(seen))

@@ -20,7 +20,7 @@ def up_direction(scene: Scene) -> NDArray[np.float64]:
         return np.array([0.0, 0.0, 1.0])
     middle = centers.mean(axis=0)
     axis = np.asarray(np.linalg.svd(centers - middle)[2][2])
-    above = (middle - np.asarray(scene.bounds.get_center())) @ axis
+    above = (middle - scene.bounds.center) @ axis
     return axis if above >= 0 else -axis
 
 

@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 
 from recon3d.rendering.orbit import _orbit, up_direction
 from recon3d.rendering.renderer import Renderer
-from recon3d.scene.bounds import bounds_corners
 from recon3d.scene.scene import Scene
 from recon3d.scene.view import View
 
@@ -46,14 +45,14 @@ def turntable(
 
 def portrait(picture: NDArray[np.uint8], view: View, scene: Scene) -> NDArray[np.uint8]:
     """A picture from a view's camera, cut to what the scene's bounds cover and turned by quarters so that up is up."""
-    corners, depths = view.project(bounds_corners(scene.bounds))
+    corners, depths = view.project(scene.bounds.corners)
     if (depths > 0).all():
         size = np.array([view.width, view.height])
         low = np.clip(np.floor(corners.min(axis=0)), 0, size - 1).astype(int)
         high = np.clip(np.ceil(corners.max(axis=0)), low, size - 1).astype(int)
         picture = picture[low[1] : high[1] + 1, low[0] : high[0] + 1]
-    center = np.asarray(scene.bounds.get_center())
-    ends, _ = view.project(np.stack([center, center + 0.1 * scene.bounds.get_max_extent() * up_direction(scene)]))
+    center = scene.bounds.center
+    ends, _ = view.project(np.stack([center, center + 0.1 * scene.bounds.longest * up_direction(scene)]))
     right, down = ends[1] - ends[0]
     if abs(right) > abs(down):
         return np.rot90(picture, 1 if right > 0 else 3)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
@@ -9,15 +10,64 @@ import open3d as o3d
 from numpy.typing import ArrayLike, NDArray
 
 
-def make_bounds(low: ArrayLike, high: ArrayLike) -> o3d.geometry.AxisAlignedBoundingBox:
-    """Axis-aligned box from two opposite corners (3,) in world units."""
-    a, b = np.asarray(low, np.float64), np.asarray(high, np.float64)
-    if a.shape != (3,) or b.shape != (3,) or not np.isfinite([a, b]).all():
-        raise ValueError(f"expected two corners of three finite numbers, got {low!r} and {high!r}")
-    return o3d.geometry.AxisAlignedBoundingBox(np.minimum(a, b), np.maximum(a, b))
+@dataclass(frozen=True, init=False)
+class Bounds:
+    """Axis-aligned box, from two opposite corners in world units; any two, they are sorted.
 
+    Raises
+    ------
+    ValueError : a corner is not three finite numbers.
+    """
 
-def bounds_corners(bounds: o3d.geometry.AxisAlignedBoundingBox) -> NDArray[np.float64]:
-    """(8, 3) corners of a box."""
-    sides = np.stack([bounds.min_bound, bounds.max_bound])
-    return np.array([[sides[c, axis] for axis, c in enumerate(corner)] for corner in product((0, 1), repeat=3)])
+    low: tuple[float, float, float]
+    """Corner of the smallest coordinates, world units."""
+    high: tuple[float, float, float]
+    """Corner of the largest coordinates, world units."""
+
+    def __init__(self, low: ArrayLike, high: ArrayLike) -> None:
+        corners = np.asarray(low, np.float64), np.asarray(high, np.float64)
+        if any(corner.shape != (3,) or not np.isfinite(corner).all() for corner in corners):
+            raise ValueError(f"expected two corners of three finite numbers, got {low!r} and {high!r}")
+        object.__setattr__(self, "low", tuple(np.minimum(*corners).tolist()))
+        object.__setattr__(self, "high", tuple(np.maximum(*corners).tolist()))
+
+    @classmethod
+    def of(cls, box: Bounds | o3d.geometry.AxisAlignedBoundingBox | tuple[ArrayLike, ArrayLike]) -> Bounds:
+        """The box of bounds, of Open3D's ``AxisAlignedBoundingBox`` or of two opposite corners (3,)."""
+        if isinstance(box, Bounds):
+            return box
+        if isinstance(box, o3d.geometry.AxisAlignedBoundingBox):
+            return cls(box.min_bound, box.max_bound)
+        try:
+            low, high = box
+        except (TypeError, ValueError):
+            raise ValueError(f"expected Bounds, an AxisAlignedBoundingBox or two corners, got {box!r}") from None
+        return cls(low, high)
+
+    @property
+    def extent(self) -> NDArray[np.float64]:
+        """(3,) lengths of the sides, world units."""
+        return np.subtract(self.high, self.low)
+
+    @property
+    def longest(self) -> float:
+        """Length of the longest side, world units."""
+        return float(self.extent.max())
+
+    @property
+    def center(self) -> NDArray[np.float64]:
+        """(3,) the middle, world."""
+        return np.add(self.low, self.high) / 2
+
+    @property
+    def corners(self) -> NDArray[np.float64]:
+        """(8, 3) corners, world."""
+        return np.array(list(product(*zip(self.low, self.high, strict=True))))
+
+    def padded(self, margin: float) -> Bounds:
+        """The box with a margin in world units on every side; a negative one shrinks it."""
+        return Bounds(np.subtract(self.low, margin), np.add(self.high, margin))
+
+    def to_open3d(self) -> o3d.geometry.AxisAlignedBoundingBox:
+        """The same box as Open3D's ``AxisAlignedBoundingBox``."""
+        return o3d.geometry.AxisAlignedBoundingBox(np.array(self.low), np.array(self.high))

@@ -19,7 +19,7 @@ def matching_neighbours(scene: Scene, most: int = 4) -> list[list[int]]:
     ------
     SceneError : no view has such a neighbour.
     """
-    directions = scene.centers - np.asarray(scene.bounds.get_center())
+    directions = scene.centers - scene.bounds.center
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     angles = np.degrees(np.arccos(np.clip(directions @ directions.T, -1, 1)))
     chosen: list[list[int]] = []

@@ -9,11 +9,10 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-import open3d as o3d
 from numpy.typing import NDArray
 
 from recon3d.errors import SceneError
-from recon3d.scene.bounds import bounds_corners
+from recon3d.scene.bounds import Bounds
 from recon3d.scene.packed import PackedViews
 from recon3d.scene.view import View
 from recon3d.summary import Summarised, thumbnails
@@ -25,8 +24,8 @@ class Scene(Summarised):
 
     views: tuple[View, ...]
     """At least one; names differ."""
-    bounds: o3d.geometry.AxisAlignedBoundingBox
-    """Box around the object, world units; every voxel grid is made inside it."""
+    bounds: Bounds
+    """Box around the object, world units; every voxel grid is made inside it. Open3D's box is taken, too."""
     name: str = "scene"
     """Used in titles and file names."""
     mm_per_unit: float = 1000.0
@@ -45,19 +44,19 @@ class Scene(Summarised):
         object.__setattr__(self, "notes", dict(self.notes))
         if not 0 < self.mm_per_unit < np.inf:
             raise ValueError(f"scene {self.name}: expected mm_per_unit > 0, got {self.mm_per_unit}")
-        extent = np.asarray(self.bounds.get_extent())
-        if not (np.isfinite(extent).all() and (extent > 0).all()):
-            raise SceneError(f"scene {self.name}: expected bounds with three positive sides, got {extent}")
-        probes = np.vstack([bounds_corners(self.bounds), self.bounds.get_center()])
+        object.__setattr__(self, "bounds", Bounds.of(self.bounds))
+        if self.bounds.extent.min() <= 0:
+            raise SceneError(f"scene {self.name}: expected bounds with three positive sides, got {self.bounds.extent}")
+        probes = np.vstack([self.bounds.corners, self.bounds.center])
         if not any(view.sees(probes).any() for view in self.views):
             raise SceneError(
-                f"scene {self.name}: no camera sees the bounds {self.bounds.min_bound} to {self.bounds.max_bound}. "
+                f"scene {self.name}: no camera sees the bounds {self.bounds.low} to {self.bounds.high}. "
                 "Is this another data set's box, or are the matrices camera-to-world?"
             )
 
     def corners_in_views(self) -> NDArray[np.int64]:
         """(n_views,) how many corners of the bounds each image holds."""
-        corners = bounds_corners(self.bounds)
+        corners = self.bounds.corners
         return np.array([int(view.sees(corners).sum()) for view in self.views])
 
     def subset(self, names: Iterable[str]) -> Scene:
@@ -79,7 +78,7 @@ class Scene(Summarised):
             digest.update(repr((view.name, view.image.shape, mask.shape)).encode())
             for array in (view.K, view.cam_from_world, view.image, mask):
                 digest.update(array.tobytes())
-        digest.update(np.array([*self.bounds.min_bound, *self.bounds.max_bound, self.mm_per_unit]).tobytes())
+        digest.update(np.array([*self.bounds.low, *self.bounds.high, self.mm_per_unit]).tobytes())
         return digest.hexdigest()
 
     @cached_property
@@ -95,7 +94,7 @@ class Scene(Summarised):
     @property
     def pixel_footprint(self) -> float:
         """Median size of a pixel at the centre of the bounds, world units."""
-        middle = np.asarray(self.bounds.get_center())[None]
+        middle = self.bounds.center[None]
         sizes = [view.project(middle)[1][0] / np.sqrt(view.K[0, 0] * view.K[1, 1]) for view in self.views]
         before = [size for size in sizes if size > 0]
         if not before:
@@ -109,8 +108,8 @@ class Scene(Summarised):
             "name": self.name,
             "views": len(self.views),
             "image size": ", ".join(sizes),
-            "silhouettes": sum(view.silhouette is not None for view in self.views),
-            "bounds (mm)": " x ".join(f"{side:.1f}" for side in self.bounds.get_extent() * self.mm_per_unit),
+            "silhouettes": sum(view.has_silhouette for view in self.views),
+            "bounds (mm)": " x ".join(f"{side:.1f}" for side in self.bounds.extent * self.mm_per_unit),
             "pixel footprint (mm)": f"{self.pixel_footprint * self.mm_per_unit:.3f}",
             **self.notes,
         }

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recon3d.errors import DataError
-from recon3d.scene.bounds import bounds_corners
 from recon3d.scene.scene import Scene
 from recon3d.scene.view import View
 
@@ -36,7 +35,7 @@ def foreground(image: NDArray[np.uint8], level: float = BACKGROUND_LEVEL) -> NDA
 
 def bounds_mask(scene: Scene, view: View) -> NDArray[np.bool_]:
     """Pixels (height, width) that the scene's bounds can project to; all where a corner is behind the camera."""
-    pixels, depth = view.project(bounds_corners(scene.bounds))
+    pixels, depth = view.project(scene.bounds.corners)
     if (depth <= 0).any() or np.abs(pixels).max() > _FAR:
         return np.ones((view.height, view.width), np.bool_)
     mask = np.zeros((view.height, view.width), np.uint8)

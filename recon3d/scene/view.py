@@ -86,6 +86,11 @@ class View(Summarised):
         return int(self.image.shape[1])
 
     @property
+    def has_silhouette(self) -> bool:
+        """Whether a silhouette is known; asks for no pixels."""
+        return self.silhouette is not None
+
+    @property
     def K(self) -> NDArray[np.float64]:
         """(3, 3) intrinsic matrix, pixels."""
         return np.array(self.camera.intrinsic.intrinsic_matrix)
@@ -126,7 +131,7 @@ class View(Summarised):
         return {
             "name": self.name,
             "image size": f"{self.width}x{self.height}",
-            "silhouette": "known" if self.silhouette is not None else "not known",
+            "silhouette": "known" if self.has_silhouette else "not known",
             "focal lengths (pixels)": f"{self.K[0, 0]:.1f}, {self.K[1, 1]:.1f}",
             "centre": ", ".join(f"{x:.4g}" for x in self.center),
         }

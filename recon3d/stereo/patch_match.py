@@ -151,7 +151,7 @@ class Matcher:
         )  # fmt: skip
         P = views.projections[others]
         reach = np.float32(matching.reach * footprint)
-        behind = reach + np.float32(matching.cavities * min(self.scene.bounds.get_extent()))
+        behind = reach + np.float32(matching.cavities * min(self.scene.bounds.extent))
         nearest, farthest = np.maximum(start - reach, reach), start + behind
         for sweep in range(2 * matching.rounds):
             ranges = self._ranges(float(np.median(start[start > 0])), sweep // 2)

@@ -9,6 +9,7 @@ import open3d as o3d
 from numpy.typing import ArrayLike, NDArray
 
 from recon3d.errors import EmptyReconstructionError
+from recon3d.scene.bounds import Bounds
 from recon3d.summary import Summarised, thumbnails
 from recon3d.volume.lattice import BYTES_PER_VOXEL, check_memory, enclosing_lattice
 
@@ -42,7 +43,7 @@ class CarvingVolume(Summarised):
     @classmethod
     def enclosing(
         cls,
-        bounds: o3d.geometry.AxisAlignedBoundingBox,
+        bounds: Bounds | o3d.geometry.AxisAlignedBoundingBox,
         *,
         voxel_size: float | None = None,
         n_voxels: int | None = None,
@@ -53,11 +54,11 @@ class CarvingVolume(Summarised):
         ------
         VolumeTooLargeError : it would not fit into the memory that is free now.
         """
-        extent = np.asarray(bounds.get_extent())
+        bounds = Bounds.of(bounds)
         if n_voxels is not None and voxel_size is None:
             if n_voxels < 1:
                 raise ValueError(f"expected at least one voxel, got {n_voxels}")
-            voxel_size = float((extent.prod() / n_voxels) ** (1 / 3))
+            voxel_size = float((bounds.extent.prod() / n_voxels) ** (1 / 3))
         elif voxel_size is None or n_voxels is not None:
             raise ValueError("expected either voxel_size or n_voxels")
         origin, shape = enclosing_lattice(bounds, voxel_size)
@@ -104,9 +105,10 @@ class CarvingVolume(Summarised):
         """Open3D voxel grid of the occupied voxels, with the same origin, indices and colours."""
         points = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(self.centers()))
         points.colors = o3d.utility.Vector3dVector(self.colors[self.occupied] / 255.0)
+        box = self.bounds.to_open3d()
         # Only this constructor keeps the origin; it wants an upper bound beyond the last voxel.
         return o3d.geometry.VoxelGrid.create_from_point_cloud_within_bounds(
-            points, self.voxel_size, self.bounds.min_bound, self.bounds.max_bound
+            points, self.voxel_size, box.min_bound, box.max_bound
         )
 
     @property
@@ -116,9 +118,9 @@ class CarvingVolume(Summarised):
         return nx, ny, nz
 
     @property
-    def bounds(self) -> o3d.geometry.AxisAlignedBoundingBox:
+    def bounds(self) -> Bounds:
         """Box of the whole lattice, world units."""
-        return o3d.geometry.AxisAlignedBoundingBox(self.origin, self.origin + self.voxel_size * np.array(self.shape))
+        return Bounds(self.origin, self.origin + self.voxel_size * np.array(self.shape))
 
     @property
     def n_occupied(self) -> int:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-import open3d as o3d
 import psutil
 from numpy.typing import ArrayLike, NDArray
 
 from recon3d.errors import VolumeTooLargeError
+from recon3d.scene.bounds import Bounds
 
 BYTES_PER_VOXEL = 80
 """Peak memory of carving and meshing, measured on full volumes, rounded up."""
@@ -17,14 +17,12 @@ BAND = 3.0
 """Voxels beside the surface within which distance fields are kept."""
 
 
-def enclosing_lattice(
-    bounds: o3d.geometry.AxisAlignedBoundingBox, voxel_size: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def enclosing_lattice(bounds: Bounds, voxel_size: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Origin (3,) and whole numbers of voxels (3,) of the lattice of a voxel size that is centred on a box."""
     if not (np.isfinite(voxel_size) and voxel_size > 0):
         raise ValueError(f"expected a positive voxel size, got {voxel_size}")
-    shape = np.maximum(np.ceil(np.asarray(bounds.get_extent()) / voxel_size - 1e-6), 1)
-    return np.asarray(bounds.get_center()) - shape * voxel_size / 2, shape
+    shape = np.maximum(np.ceil(bounds.extent / voxel_size - 1e-6), 1)
+    return bounds.center - shape * voxel_size / 2, shape
 
 
 def check_memory(needed: float, shape: ArrayLike, voxel_size: float, *, dimension: int = 3) -> None:

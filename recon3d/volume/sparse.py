@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from recon3d.errors import EmptyReconstructionError
 from recon3d.kernels.bricks import BRICK, SOLID, copy_box, exposed_bricks, surface_voxels
+from recon3d.scene.bounds import Bounds
 from recon3d.summary import Summarised, thumbnails
 from recon3d.volume.dense import CarvingVolume
 from recon3d.volume.lattice import BAND, BYTES_PER_VOXEL, check_memory
@@ -74,9 +75,9 @@ class SparseVolume(Summarised):
             raise ValueError(f"{np.count_nonzero(exposed)} solid bricks border on an empty voxel: they must be stored")
 
     @property
-    def bounds(self) -> o3d.geometry.AxisAlignedBoundingBox:
+    def bounds(self) -> Bounds:
         """Box of the whole lattice, world units."""
-        return o3d.geometry.AxisAlignedBoundingBox(self.origin, self.origin + self.voxel_size * np.array(self.shape))
+        return Bounds(self.origin, self.origin + self.voxel_size * np.array(self.shape))
 
     @property
     def bricks(self) -> NDArray[np.int64]:
@@ -150,9 +151,10 @@ class SparseVolume(Summarised):
             raise EmptyReconstructionError("the volume holds no voxels, so it has no surface")
         points = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(self.centers(surface)))
         points.colors = o3d.utility.Vector3dVector(self.colors[surface] / 255.0)
+        box = self.bounds.to_open3d()
         # Only this constructor keeps the origin; it wants an upper bound beyond the last voxel.
         return o3d.geometry.VoxelGrid.create_from_point_cloud_within_bounds(
-            points, self.voxel_size, self.bounds.min_bound, self.bounds.max_bound
+            points, self.voxel_size, box.min_bound, box.max_bound
         )
 
     def summary(self) -> dict[str, object]:
