@@ -203,3 +203,20 @@ def brute_force_items(scene: Scene, volume: CarvingVolume, occupied: NDArray[np.
                 items[row, column] = flat[hit[near[hit].argmin()]]
         answer.append(items)
     return np.stack(answer)
+
+
+def matching_neighbours_twin(scene: Scene, most: int) -> list[list[int]]:
+    """For each view the nearest others 5 to 60 degrees away, seen from the middle, that are 5 degrees apart."""
+    rays = [view.center - scene.bounds.center for view in scene.views]
+
+    def angle(a: int, b: int) -> float:
+        return float(np.degrees(np.arctan2(np.linalg.norm(np.cross(rays[a], rays[b])), rays[a] @ rays[b])))
+
+    chosen = []
+    for view in range(len(rays)):
+        others: list[int] = []
+        for other in sorted(range(len(rays)), key=lambda n: angle(view, n)):
+            if 5 <= angle(view, other) <= 60 and all(angle(other, known) >= 5 for known in others):
+                others.append(other)
+        chosen.append(others[:most])
+    return chosen

@@ -25,7 +25,6 @@ from recon3d.datasets.synthetic import BuiltInScene, little_temple
 from recon3d.errors import EmptyReconstructionError, SceneError
 from recon3d.evaluation.distances import distance_to_mesh, evaluate
 from recon3d.scene.bounds import Bounds
-from recon3d.scene.neighbours import matching_neighbours
 from recon3d.scene.scene import Scene
 from recon3d.scene.silhouettes import without_silhouettes
 from recon3d.scene.view import View
@@ -235,14 +234,6 @@ def test_views_that_cannot_be_matched_are_refused(temple: BuiltInScene) -> None:
     lone = replace(temple.scene, views=temple.scene.views[:1])
     with pytest.raises(SceneError, match="no two views lie 5 to 60 degrees apart"):
         vote_carving(lone, volume_of(lone, 3000))
-
-
-def test_nearly_equal_cameras_count_as_one_neighbour(temple: BuiltInScene) -> None:
-    scene = temple.scene
-    twin = replace(scene.views[1], name="twin")
-    neighbours = matching_neighbours(replace(scene, views=(*scene.views, twin)))
-    assert 1 in neighbours[0] or len(scene.views) in neighbours[0]
-    assert not {1, len(scene.views)} <= set(neighbours[0])
 
 
 def test_without_unseen_leaves_what_some_view_sees(temple: BuiltInScene) -> None:

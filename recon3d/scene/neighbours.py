@@ -20,15 +20,17 @@ def matching_neighbours(scene: Scene, most: int = 4) -> list[list[int]]:
     SceneError : no view has such a neighbour.
     """
     directions = scene.centers - scene.bounds.center
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    with np.errstate(invalid="ignore"):  # a camera in the middle has no direction, so no neighbours
+        directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     angles = np.degrees(np.arccos(np.clip(directions @ directions.T, -1, 1)))
     chosen: list[list[int]] = []
     for row in angles:
+        left = np.argsort(row, kind="stable")
+        left = left[(row[left] >= _NEAREST_ANGLE) & (row[left] <= _FARTHEST_ANGLE)]
         others: list[int] = []
-        for other in np.argsort(row, kind="stable"):
-            apart = all(angles[other, known] >= _NEAREST_ANGLE for known in others)
-            if _NEAREST_ANGLE <= row[other] <= _FARTHEST_ANGLE and apart and len(others) < most:
-                others.append(int(other))
+        while len(left) and len(others) < most:
+            others.append(int(left[0]))
+            left = left[angles[left, left[0]] >= _NEAREST_ANGLE]
         chosen.append(others)
     if not any(chosen):
         raise SceneError(f"scene {scene.name}: no two views lie 5 to 60 degrees apart, so none can be matched")
