@@ -126,7 +126,7 @@ def test_specks_are_dropped_unless_all_pieces_are_wanted(temple: recon3d.BuiltIn
     assert everything.repairs.small_components == 0
     assert "mended" not in everything.summary()
     assert tidy.repairs.small_components > 0
-    assert f"{tidy.repairs.small_components} small_components dropped" in str(tidy.summary()["mended"])
+    assert f"{tidy.repairs.small_components} small components dropped" in str(tidy.summary()["mended"])
     assert tidy.record()["mesh"]["small_components"] == tidy.repairs.small_components
     assert len(tidy.mesh.triangles) < len(everything.mesh.triangles)
 
@@ -168,7 +168,7 @@ def test_bad_settings_are_refused() -> None:
         ({"max_views": 0}, "max_views"),
         ({"smoothing": -1}, "smoothing"),
         ({"min_component": -1}, "min_component"),
-        ({"quality": "sharper"}, "expected quality auto, carve, sharp, got 'sharper'"),
+        ({"quality": "sharper"}, "expected quality auto, voxels, dense, got 'sharper'"),
         ({"surface": "delaunay"}, "expected surface poisson, graph-cut, got 'delaunay'"),
     ):
         with pytest.raises(ValueError, match=message):
@@ -204,8 +204,8 @@ def test_the_temple_is_as_near_to_the_reference_surface_as_the_paper_says(real_d
     scene = recon3d.open_scene(real_data / "templeSparseRing", silhouettes="threshold")
     result = recon3d.reconstruct(scene, settings)
     closed = recon3d.read_mesh(reference / "temple_reference_closed.ply")
-    real = recon3d.triangles_near(closed, recon3d.read_mesh(reference / "temple_reference.ply"), 1e-4)
-    figures = recon3d.evaluate(result.mesh, closed, real=real)
+    valid = recon3d.triangles_near(closed, recon3d.read_mesh(reference / "temple_reference.ply"), 1e-4)
+    figures = recon3d.evaluate(result.mesh, closed, valid=valid)
     assert figures.accuracy_mm < 8.97  # the paper's figure
     assert 20 < figures.completeness_percent < 72.1  # its thresholds leave holes here: see the README
 
@@ -302,8 +302,8 @@ def test_the_temple_from_all_sixteen_views_beats_the_figures_that_the_paper_name
     scene = recon3d.open_scene(real_data / "templeSparseRing")
     result = recon3d.reconstruct(scene, recon3d.Settings(keep_unsupported=False))
     closed = recon3d.read_mesh(reference / "temple_reference_closed.ply")
-    real = recon3d.triangles_near(closed, recon3d.read_mesh(reference / "temple_reference.ply"), 1e-4)
-    figures = recon3d.evaluate(result.mesh, closed, real=real)
+    valid = recon3d.triangles_near(closed, recon3d.read_mesh(reference / "temple_reference.ply"), 1e-4)
+    figures = recon3d.evaluate(result.mesh, closed, valid=valid)
     # The best in the paper's table: Tran and Davis, against the official ground truth.
     assert figures.accuracy_mm < 1.53
     assert figures.completeness_percent > 85.4

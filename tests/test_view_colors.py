@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 from scenes import ball_mesh, cameras, photographs, plain_view
 
-from recon3d.carving.observations import judge
+from recon3d.carving.observations import UnclaimedPixels, judge
 from recon3d.consistency.base import Patches, Verdict
 from recon3d.consistency.histogram import Histogram
 from recon3d.kernels.view_colors import cached_distances, largest_norms, shared_bins, view_sums
@@ -192,10 +192,11 @@ def judged_batch() -> tuple[Patches, NDArray[np.float64], float, PackedViews]:
     volume = CarvingVolume.enclosing(scene.bounds, n_voxels=300)
     views = scene.packed
     voxels = np.argwhere(volume.occupied)
-    boxes, counts, _ = views.footprints(voxels, volume)
+    unclaimed = UnclaimedPixels(views, volume)
+    boxes, counts, _ = unclaimed.footprints(voxels)
     visible = counts.any(axis=1)
     centers = volume.origin + volume.voxel_size * (voxels[visible] + 0.5)
-    return views.patches(boxes[visible], counts[visible]), centers, volume.voxel_size, views
+    return unclaimed.patches(boxes[visible], counts[visible]), centers, volume.voxel_size, views
 
 
 def test_directions_point_from_the_voxels_centre_to_the_cameras() -> None:

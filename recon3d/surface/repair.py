@@ -35,7 +35,7 @@ class Repairs:
     def __str__(self) -> str:
         """What was not in order, in one line; empty when everything was."""
         told = {
-            "small_components dropped": self.small_components,
+            "small components dropped": self.small_components,
             "non-manifold edges cut": self.non_manifold_edges,
             "non-manifold vertices doubled": self.non_manifold_vertices,
             "pieces turned outwards": self.inward_pieces,
