@@ -70,17 +70,14 @@ from .stereo import Matching, Refinement, refine
 from .study import Comparison, Trial, compare
 from .surface import (
     Repairs,
-    color_from_views,
-    count_seeing_views,
-    drop_small_components,
+    VertexVisibility,
+    color,
     graph_cut,
     mesh_points,
     mesh_sparse,
     mesh_volume,
     repair_mesh,
     surface_points,
-    vertex_visibility,
-    without_unseen,
 )
 from .volume import CarvedVolume, CarvingVolume, Label, SparseVolume
 
@@ -120,14 +117,13 @@ __all__ = [
     "StandardDeviation",
     "Trial",
     "Verdict",
+    "VertexVisibility",
     "View",
     "VisibilityError",
     "VolumeTooLargeError",
-    "color_from_views",
+    "color",
     "compare",
     "comparison_sheet",
-    "count_seeing_views",
-    "drop_small_components",
     "error_map",
     "evaluate",
     "evaluate_files",
@@ -163,7 +159,6 @@ __all__ = [
     "surface_points",
     "triangles_near",
     "turntable",
-    "vertex_visibility",
     "visual_hull",
     "vote_carving",
     "voxel_coloring",
@@ -171,7 +166,6 @@ __all__ = [
     "with_segmented_silhouettes",
     "with_threshold_silhouettes",
     "without_silhouettes",
-    "without_unseen",
     "write_geometry",
     "write_middlebury",
 ]

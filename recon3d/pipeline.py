@@ -5,28 +5,29 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
 from typing import Any
 
 import numpy as np
 import open3d as o3d
+from numpy.typing import NDArray
 
 from recon3d.carving import METHODS
 from recon3d.errors import EmptyReconstructionError
 from recon3d.evaluation.distances import evaluate
 from recon3d.evaluation.photographs import measure_quality
 from recon3d.io.checkpoints import Checkpoints, code_fingerprint
+from recon3d.rendering.ray_caster import RayCaster
 from recon3d.result import Reconstruction
 from recon3d.scene.scene import Scene
 from recon3d.settings import Settings, choose_views
 from recon3d.stereo.refinement import Stages, refine
 from recon3d.surface.extraction import mesh_shape, surface_points
-from recon3d.surface.poisson import mesh_points, near_points
-from recon3d.surface.repair import drop_small_components, repair_mesh
-from recon3d.surface.vertex_colors import color_from_views
-from recon3d.surface.visibility import keep_vertices, without_unseen
+from recon3d.surface.poisson import MeasuredSpace, mesh_points
+from recon3d.surface.repair import Repairs, repair_mesh
+from recon3d.surface.vertex_colors import color
+from recon3d.surface.visibility import VertexVisibility
 from recon3d.volume.carved import CarvedVolume
 from recon3d.volume.dense import CarvingVolume
 
@@ -75,30 +76,30 @@ def reconstruct(
             )
     with _timed(timings, "surface"):
         report("surface", 0, 3)
-        spacing = _SPACING * scene.pixel_footprint
+        min_area = settings.min_component * volume.voxel_size**2
         if sharp:
-            mesh = mesh_points(sharp, hull, surface=settings.surface, spacing=spacing)
+            spacing = _SPACING * scene.pixel_footprint
+            measured = MeasuredSpace(sharp, spacing)
+            mesh = mesh_points(sharp, hull, surface=settings.surface, spacing=spacing, measured=measured)
         else:
             mesh = _carved_mesh(hull, settings)
+        mesh, repairs, _ = repair_mesh(mesh, min_area=min_area)
         report("surface", 1, 3)
-        mesh, small_components = drop_small_components(mesh, settings.min_component * volume.voxel_size**2)
-        if not settings.keep_unsupported:
-            mesh = without_unseen(mesh, scene)
-            if sharp:
-                mesh = keep_vertices(mesh, near_points(np.asarray(mesh.vertices), sharp, spacing))
-                if not mesh.has_triangles():
-                    raise EmptyReconstructionError(f"scene {scene.name}: no point lies near any of the surface")
-        mesh, repairs = repair_mesh(mesh)
-        report("surface", 2, 3)
-        mesh, support = color_from_views(mesh, scene)
+        caster = RayCaster(mesh)
+        visibility = VertexVisibility.of(mesh, scene, caster)
+        support = visibility.n_views
         if sharp:
-            support[~near_points(np.asarray(mesh.vertices), sharp, spacing)] = 0
+            support[~measured.holds(np.asarray(mesh.vertices))] = 0
+        if not settings.keep_unsupported:
+            mesh, visibility, support, repairs = _supported(scene, mesh, visibility, support, repairs, min_area)
+        report("surface", 2, 3)
+        mesh = color(mesh, scene, visibility=visibility, caster=caster)
         points = sharp.to_legacy() if sharp else surface_points(hull.volume, solid=hull.with_interior)
         confidence = sharp.point.confidence.numpy().ravel() if sharp else None
         report("surface", 3, 3)
     with _timed(timings, "quality"):
         report("quality", 0, 1)
-        quality = measure_quality(mesh, scene)
+        quality = measure_quality(mesh, scene, caster=caster if settings.keep_unsupported else None)
         report("quality", 1, 1)
     evaluation = None
     if ground_truth is not None:
@@ -106,7 +107,6 @@ def reconstruct(
             report("evaluation", 0, 1)
             evaluation = evaluate(mesh, ground_truth, mm_per_unit=scene.mm_per_unit)
             report("evaluation", 1, 1)
-    repairs = replace(repairs, small_components=small_components)
     return Reconstruction(
         scene, settings, hull, points, confidence, mesh, support, repairs, timings, quality, evaluation
     )
@@ -125,6 +125,22 @@ def keep_stages(folder: Path | str, scene: Scene, settings: Settings) -> Checkpo
     told = {name: value for name, value in settings.record().items() if name in chosen}
     chosen_by = json.dumps(told, sort_keys=True, default=np.generic.item)
     return Checkpoints(folder, f"{code_fingerprint()} {scene.fingerprint()} {chosen_by}")
+
+
+def _supported(
+    scene: Scene,
+    mesh: o3d.geometry.TriangleMesh,
+    visibility: VertexVisibility,
+    support: NDArray[np.int64],
+    repairs: Repairs,
+    min_area: float,
+) -> tuple[o3d.geometry.TriangleMesh, VertexVisibility, NDArray[np.int64], Repairs]:
+    """The part of a mesh that is supported, and what is known of it."""
+    supported = support > 0
+    if not supported[np.asarray(mesh.triangles)].all(axis=1).any():
+        raise EmptyReconstructionError(f"scene {scene.name}: nothing was measured of any of the surface")
+    part, more, source = repair_mesh(mesh, kept=supported, min_area=min_area)
+    return part, visibility.of_vertices(source), support[source], repairs + more
 
 
 def _carved_mesh(hull: CarvedVolume, settings: Settings) -> o3d.geometry.TriangleMesh:

@@ -19,7 +19,7 @@ from recon3d.rendering.sheets import turntable
 from recon3d.scene.scene import Scene
 from recon3d.settings import Settings
 from recon3d.summary import Summarised
-from recon3d.surface.repair import Repairs
+from recon3d.surface.repair import Repairs, triangle_areas
 from recon3d.volume.carved import CarvedVolume
 
 
@@ -50,6 +50,13 @@ class Reconstruction(Summarised):
     """Of the mesh, by the photographs that it was made of."""
     evaluation: Evaluation | None = None
     """Of the mesh, where a ground truth was given."""
+
+    @property
+    def supported_share(self) -> float:
+        """Share of the mesh's area, in [0, 1], that was measured: triangles whose vertices all have support."""
+        triangles = np.asarray(self.mesh.triangles)
+        areas = triangle_areas(np.asarray(self.mesh.vertices), triangles)
+        return float(areas[(self.support[triangles] > 0).all(axis=1)].sum() / areas.sum())
 
     def record(self) -> dict[str, Any]:
         """Every parameter, version, timing and figure of the run, for a JSON file."""
@@ -86,11 +93,12 @@ class Reconstruction(Summarised):
         """Table of the run."""
         volume = self.carved.volume
         mm = volume.voxel_size * self.scene.mm_per_unit
-        supported = float((self.support > 0).mean())
+        supported = self.supported_share
         return {
             "scene": f"{self.scene.name}, {len(self.scene.views)} views",
             "voxels": f"{volume.occupied.size:,} of {mm:.3g} mm, {volume.n_occupied:,} accepted",
-            "mesh": f"{len(self.mesh.triangles):,} triangles, {supported:.0%} of them measured, the rest the hull's",
+            "mesh": f"{len(self.mesh.triangles):,} triangles; {supported:.0%} of the surface measured, "
+            f"{1 - supported:.0%} filled from the hull",
             **({"mended": str(self.repairs)} if str(self.repairs) else {}),
             "time": ", ".join(f"{name} {seconds:.2f} s" for name, seconds in self.timings.items()),
             **self.quality.summary(),

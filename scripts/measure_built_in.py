@@ -13,6 +13,7 @@ import trimesh
 import typer
 
 import recon3d
+from recon3d.rendering.ray_caster import RayCaster
 
 EDGE = 2.0  # pixel footprints of the triangles that are seen or not
 
@@ -30,9 +31,8 @@ def seen_by_two(built_in: recon3d.BuiltInScene) -> tuple[o3d.geometry.TriangleMe
         o3d.utility.Vector3dVector(vertices[triangles].mean(axis=1)), o3d.utility.Vector3iVector()
     )
     centers.vertex_normals = mesh.triangle_normals
-    caster = recon3d.casting.RayCaster(truth)
-    seen = recon3d.vertex_visibility(centers, scene, caster)
-    return mesh, seen.sum(axis=0) >= 2
+    visibility = recon3d.VertexVisibility.of(centers, scene, RayCaster(truth))
+    return mesh, visibility.n_views >= 2
 
 
 def main(

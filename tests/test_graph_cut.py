@@ -39,9 +39,9 @@ def directions(n: int, seed: int = 0) -> NDArray[np.float64]:
 def cloud(
     positions: NDArray[np.float64], normals: NDArray[np.float64], confidence: float = 1.0
 ) -> o3d.t.geometry.PointCloud:
-    """Grey points of equal confidence."""
+    """Points of equal confidence."""
     points = o3d.t.geometry.PointCloud()
-    values = {"positions": positions, "normals": normals, "colors": np.full_like(positions, 0.5)}
+    values = {"positions": positions, "normals": normals}
     for name, value in {**values, "confidence": np.full(len(positions), confidence)}.items():
         points.point[name] = o3d.core.Tensor.from_numpy(np.ascontiguousarray(value, np.float32))
     return points
@@ -202,20 +202,6 @@ def test_units_and_origin_of_the_world_do_not_matter() -> None:
     assert np.linalg.norm(moved - N / 2, axis=1).std() == pytest.approx(radii(unit).std(), abs=1e-3)
 
 
-@pytest.mark.parametrize("dtype", [np.uint8, np.float32])
-def test_the_mesh_takes_the_points_colours(dtype: type) -> None:
-    points = ball_points()
-    red = BALL[:, :1] > 0
-    colors = np.where(red, [200, 0, 0], [0, 0, 100])
-    colors = colors.astype(np.uint8) if dtype is np.uint8 else (colors / 255).astype(np.float32)
-    points.point.colors = o3d.core.Tensor.from_numpy(colors)
-    mesh = graph_cut(points, ball_hull(18))
-    x, found = np.asarray(mesh.vertices)[:, 0] - N / 2, np.asarray(mesh.vertex_colors)
-    # Eight of 20 000 points lie within a voxel.
-    np.testing.assert_allclose(found[x > 1.5], np.tile([200 / 255, 0, 0], ((x > 1.5).sum(), 1)), atol=1e-9)
-    np.testing.assert_allclose(found[x < -1.5], np.tile([0, 0, 100 / 255], ((x < -1.5).sum(), 1)), atol=1e-9)
-
-
 def test_without_data_the_surface_follows_the_hulls_distance() -> None:
     hull = ball_hull(16.3)
     exact = (16.3 - np.linalg.norm(centers() - N / 2, axis=-1)).astype(np.float32)
@@ -241,7 +227,7 @@ def test_a_few_points_alone_carry_no_surface() -> None:
         graph_cut(ball_points(slice(5)), ball_hull(18), ballooning=0)
 
 
-@pytest.mark.parametrize("name", ["normals", "confidence", "colors"])
+@pytest.mark.parametrize("name", ["normals", "confidence"])
 def test_missing_attributes_are_named(name: str) -> None:
     points = ball_points()
     del points.point[name]

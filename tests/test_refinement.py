@@ -32,7 +32,7 @@ from recon3d.stereo.fusion import fuse
 from recon3d.stereo.patch_match import DepthMap, Matcher, Matching, plane_normals
 from recon3d.stereo.refinement import refine
 from recon3d.surface.extraction import mesh_volume
-from recon3d.surface.poisson import Surface, mesh_points, near_points
+from recon3d.surface.poisson import MeasuredSpace, Surface, mesh_points
 from recon3d.volume.carved import Label
 
 QUICK = (Matching(),)  # one pass, near the hull
@@ -292,7 +292,7 @@ def test_the_hull_closes_the_mesh_where_there_are_no_points(
     spacing = 1.5 * scene.pixel_footprint
     mesh = mesh_points(points, hull, surface=surface, spacing=spacing)
     vertices = np.asarray(mesh.vertices)
-    measured = near_points(vertices, points, spacing)
+    measured = MeasuredSpace(points, spacing).holds(vertices)
     assert (edge_counts(mesh) == 2).all()
     assert signed_volume(mesh) == pytest.approx(4 / 3 * np.pi, rel=0.1)
     error = np.abs(np.linalg.norm(vertices, axis=1) - 1) / scene.pixel_footprint
@@ -304,10 +304,10 @@ def test_the_hull_closes_the_mesh_where_there_are_no_points(
     assert 0 < (~measured).mean() < 0.1
 
 
-def test_near_points_are_within_two_spacings() -> None:
+def test_the_surface_is_measured_within_two_spacings_of_a_point() -> None:
     cloud = o3d.t.geometry.PointCloud(np.array([[0.0, 0, 0], [5, 0, 0]]))
     places = np.array([[1.99, 0, 0], [2.01, 0, 0], [4, 1, 1], [9, 9, 9]])
-    np.testing.assert_array_equal(near_points(places, cloud, 1.0), [True, False, True, False])
+    np.testing.assert_array_equal(MeasuredSpace(cloud, 1.0).holds(places), [True, False, True, False])
 
 
 def test_a_mesh_does_not_depend_on_the_run_nor_on_the_place(

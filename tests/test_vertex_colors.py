@@ -17,8 +17,8 @@ from recon3d.kernels.vertex_colors import agreed_colors, facing_views, weighted_
 from recon3d.rendering.ray_caster import RayCaster
 from recon3d.scene.scene import Scene
 from recon3d.surface.extraction import nearest_colors
-from recon3d.surface.vertex_colors import _EDGE_WEIGHT, _trust, color_from_views
-from recon3d.surface.visibility import count_seeing_views, vertex_visibility
+from recon3d.surface.vertex_colors import _EDGE_WEIGHT, _trust, color
+from recon3d.surface.visibility import VertexVisibility
 from recon3d.volume.dense import CarvingVolume
 
 
@@ -119,7 +119,7 @@ def test_kernels_are_their_slow_twins() -> None:
 
 def test_a_balls_colours_are_exact_to_a_grey_level_and_better_than_its_voxels() -> None:
     mesh, scene = ball_scene()
-    colored, support = color_from_views(mesh, scene)
+    colored, support = color(mesh, scene), VertexVisibility.of(mesh, scene).n_views
     seen = support > 0
     assert seen.mean() > 0.7
     best = np.max([towards(mesh, view.center) for view in scene.views], axis=0)
@@ -146,7 +146,7 @@ def test_the_temples_colours_are_nearer_than_its_voxels(temple: BuiltInScene) ->
     mesh.compute_vertex_normals()
     points, normals = np.asarray(mesh.vertices), np.asarray(mesh.vertex_normals)
     exact = 255 * np.clip(temple_texture(points) * _irradiance(normals)[:, None], 0, 1)
-    colored, support = color_from_views(mesh, temple.scene)
+    colored, support = color(mesh, temple.scene), VertexVisibility.of(mesh, temple.scene).n_views
     error = np.abs(255 * np.asarray(colored.vertex_colors) - exact).mean(axis=1)[support > 0]
     hull = visual_hull(temple.scene, CarvingVolume.enclosing(temple.scene.bounds, n_voxels=200_000))
     of_voxels = np.abs(255 * nearest_colors(hull.volume, points) - exact).mean(axis=1)[support > 0]
@@ -158,7 +158,7 @@ def test_the_temples_colours_are_nearer_than_its_voxels(temple: BuiltInScene) ->
 
 def test_highlights_in_a_minority_of_views_leave_no_trace() -> None:
     mesh, scene = ball_scene(12)
-    plainly, support = color_from_views(mesh, scene)
+    plainly, support = color(mesh, scene), VertexVisibility.of(mesh, scene).n_views
     views = list(scene.views)
     rng = np.random.default_rng(0)
     for n in range(0, len(views), 3):  # neighbours stay free of highlights
@@ -166,10 +166,10 @@ def test_highlights_in_a_minority_of_views_leave_no_trace() -> None:
         for u, v in rng.integers([60, 40], [100, 80], (8, 2)):
             image[v - 4 : v + 5, u - 4 : u + 5] = 255
         views[n] = replace(views[n], image=image)
-    shining, _ = color_from_views(mesh, replace(scene, views=tuple(views)))
+    shining = color(mesh, replace(scene, views=tuple(views)))
     seen = support > 2
     struck = np.zeros(len(seen), np.bool_)
-    sees = vertex_visibility(mesh, scene)
+    sees = VertexVisibility.of(mesh, scene).seen
     for n, (before, after) in enumerate(zip(scene.views, views, strict=True)):
         column, row = np.rint(before.project(np.asarray(mesh.vertices))[0]).astype(int).T
         row, column = np.clip(row, 0, before.height - 1), np.clip(column, 0, before.width - 1)
@@ -190,7 +190,7 @@ def test_what_lies_in_front_or_behind_does_not_bleed_over_the_edge() -> None:
         return np.where(points[:, 2:] > 0, [[0.9, 0.0, 0.0]], [[0.0, 0.0, 0.9]])
 
     scene = photographs(mesh, red_above_blue, cameras(8, arc=360, width=96, height=72), supersampling=3)
-    colored, support = color_from_views(mesh, scene)
+    colored, support = color(mesh, scene), VertexVisibility.of(mesh, scene).n_views
     colors, above = np.asarray(colored.vertex_colors), np.asarray(mesh.vertices)[:, 2] > 0
     foreign = np.where(above, colors[:, 2], colors[:, 0])
     assert (support > 0).mean() > 0.3
@@ -227,7 +227,7 @@ def test_colours_flow_to_where_no_view_looks() -> None:
     both.compute_vertex_normals()
     scene = photographs(both, taken_by=cameras(6, arc=360, width=96, height=72))
     scene = replace(scene, views=tuple(replace(view, image=np.full_like(view.image, 120)) for view in scene.views))
-    colored, support = color_from_views(both, scene)
+    colored, support = color(both, scene), VertexVisibility.of(both, scene).n_views
     assert 0 < (support == 0).sum() < len(support)
     assert (support[len(mesh.vertices) :] == 0).all()
     np.testing.assert_allclose(np.asarray(colored.vertex_colors), 120 / 255, atol=1e-9)
@@ -241,7 +241,7 @@ def test_flowed_colours_are_those_of_the_nearest_seen() -> None:
         return np.where(points[:, :1] > 0, [[0.8, 0.0, 0.0]], [[0.0, 0.0, 0.8]])
 
     scene = photographs(mesh, left_and_right, cameras(6, arc=360, width=96, height=72))  # looking down
-    colored, support = color_from_views(mesh, scene)
+    colored, support = color(mesh, scene), VertexVisibility.of(mesh, scene).n_views
     colors, points = np.asarray(colored.vertex_colors), np.asarray(mesh.vertices)
     below = (support == 0) & (points[:, 2] < -0.7)
     right, left = below & (points[:, 0] > 0.3), below & (points[:, 0] < -0.3)
@@ -254,8 +254,7 @@ def test_flowed_colours_are_those_of_the_nearest_seen() -> None:
 def test_support_counts_the_views_that_see_a_vertex_and_the_mesh_is_not_changed() -> None:
     mesh, scene = ball_scene(4)
     mesh.vertex_normals = o3d.utility.Vector3dVector()
-    colored, support = color_from_views(mesh, scene)
-    np.testing.assert_array_equal(support, count_seeing_views(mesh, scene))
+    support, colored = VertexVisibility.of(mesh, scene).n_views, color(mesh, scene)
     assert not mesh.has_vertex_colors()
     assert not mesh.has_vertex_normals()
     assert colored.has_vertex_normals()
@@ -270,13 +269,25 @@ def test_support_counts_the_views_that_see_a_vertex_and_the_mesh_is_not_changed(
 def test_a_surface_that_no_view_shows_has_no_colours() -> None:
     mesh, scene = ball_scene(2)
     with pytest.raises(EmptyReconstructionError, match="no view shows any of the surface"):
-        color_from_views(mesh.translate((0, 0, 50.0)), scene)
+        color(mesh.translate((0, 0, 50.0)), scene)
 
 
 def test_without_silhouettes_colours_come_out_nearly_the_same() -> None:
     mesh, scene = ball_scene()
     unmasked = replace(scene, views=tuple(replace(view, silhouette=None) for view in scene.views))
-    (one, support), (other, _) = color_from_views(mesh, scene), color_from_views(mesh, unmasked)
+    one, other, support = color(mesh, scene), color(mesh, unmasked), VertexVisibility.of(mesh, scene).n_views
     difference = np.abs(np.asarray(one.vertex_colors) - np.asarray(other.vertex_colors)).max(axis=1)
     facing = np.max([towards(mesh, view.center) for view in scene.views], axis=0) > 0.4
     assert difference[facing & (support > 0)].max() < 0.01
+
+
+def test_what_sees_the_mesh_can_be_handed_over_and_must_fit() -> None:
+    mesh, scene = ball_scene(4)
+    visibility, caster = VertexVisibility.of(mesh, scene), RayCaster(mesh)
+    given, found = color(mesh, scene, visibility=visibility, caster=caster), color(mesh, scene)
+    np.testing.assert_array_equal(np.asarray(given.vertex_colors), np.asarray(found.vertex_colors))
+    nothing = VertexVisibility(np.zeros_like(visibility.seen))
+    with pytest.raises(EmptyReconstructionError, match="no view shows any"):
+        color(mesh, scene, visibility=nothing)
+    with pytest.raises(ValueError, match=r"expected the visibility of 7,082 vertices in 4 views, got 3 in 4"):
+        color(mesh, scene, visibility=visibility.of_vertices(np.arange(3)))

@@ -29,7 +29,8 @@ from recon3d.scene.scene import Scene
 from recon3d.scene.silhouettes import without_silhouettes
 from recon3d.scene.view import View
 from recon3d.surface.extraction import mesh_volume
-from recon3d.surface.visibility import count_seeing_views, without_unseen
+from recon3d.surface.repair import repair_mesh
+from recon3d.surface.visibility import VertexVisibility
 from recon3d.volume.carved import Label
 from recon3d.volume.dense import CarvingVolume
 
@@ -79,7 +80,10 @@ def test_the_hull_of_a_ball_is_round_to_a_fraction_of_a_voxel(ball: Scene) -> No
     hull = visual_hull(ball, volume)
     mesh = mesh_volume(hull.with_interior, distance=hull.distance, smoothing=0)
     blocky = mesh_volume(hull.with_interior, smoothing=0)
-    seen = [np.linalg.norm(np.asarray(m.vertices), axis=1)[count_seeing_views(m, ball) >= 3] for m in (mesh, blocky)]
+    seen = [
+        np.linalg.norm(np.asarray(m.vertices), axis=1)[VertexVisibility.of(m, ball).n_views >= 3]
+        for m in (mesh, blocky)
+    ]
     # The hull of twelve cones is itself not quite a ball.
     assert seen[0].std() < 0.2 * volume.voxel_size
     assert seen[0].std() < 0.7 * seen[1].std()
@@ -236,14 +240,13 @@ def test_views_that_cannot_be_matched_are_refused(temple: BuiltInScene) -> None:
         vote_carving(lone, volume_of(lone, 3000))
 
 
-def test_without_unseen_leaves_what_some_view_sees(temple: BuiltInScene) -> None:
+def test_a_mesh_can_be_cut_to_what_some_view_sees(temple: BuiltInScene) -> None:
     mesh = o3d.geometry.TriangleMesh.create_box(0.06, 0.06, 0.06).translate((-0.03, -0.03, 0)).subdivide_midpoint(5)
-    part = without_unseen(mesh, temple.scene)
+    visibility = VertexVisibility.of(mesh, temple.scene)
+    part, _, source = repair_mesh(mesh, kept=visibility.n_views > 0)
     assert 0 < len(part.triangles) < len(mesh.triangles)
-    assert (count_seeing_views(part, temple.scene) > 0).all()
-
-    with pytest.raises(EmptyReconstructionError, match="no view sees any of the surface"):
-        without_unseen(o3d.geometry.TriangleMesh(mesh).translate((0, 0, 50)), temple.scene)
+    assert (visibility.of_vertices(source).n_views > 0).all()
+    np.testing.assert_array_equal(np.asarray(part.vertices), np.asarray(mesh.vertices)[source])
 
     def underside(shape: o3d.geometry.TriangleMesh) -> int:
         return int((np.asarray(shape.vertices)[np.asarray(shape.triangles)][:, :, 2].max(axis=1) < 1e-6).sum())

@@ -6,8 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_fill_holes, gaussian_filter
 
-from recon3d.carving.item_buffer import ItemBuffer
-from recon3d.carving.visible import color_visible
 from recon3d.kernels.matching import fuse_depths
 from recon3d.scene.packed import PackedViews
 from recon3d.volume.carved import CarvedVolume, Label
@@ -17,13 +15,10 @@ MIN_DEVIATION = 1.0
 """Grey levels; a window with less contrast has nothing to match."""
 
 
-def hull_of_field(
-    field: NDArray[np.float32], carved: NDArray[np.integer], volume: CarvingVolume, views: PackedViews
-) -> CarvedVolume:
-    """Hull of the voxels with a positive signed distance (nx, ny, nz), coloured; labels of the others are given."""
+def hull_of_field(field: NDArray[np.float32], carved: NDArray[np.integer], volume: CarvingVolume) -> CarvedVolume:
+    """Hull of the voxels with a positive signed distance (nx, ny, nz), all hidden; labels of the others are given."""
     hull = CarvedVolume.untouched(volume, field.astype(np.float32))
     hull.labels[...] = np.where(field > 0, Label.HIDDEN, carved)
-    color_visible(hull, ItemBuffer(views, volume), field > 0)
     return hull
 
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from recon3d.carving.depth_votes import MIN_DEVIATION, carve_by_depths, hull_of_field
 from recon3d.carving.item_buffer import ItemBuffer
 from recon3d.carving.start import hull_distance
+from recon3d.carving.visible import color_visible
 from recon3d.consistency.base import ConsistencyTest
 from recon3d.errors import EmptyReconstructionError
 from recon3d.kernels.matching import best_depths, count_agreements
@@ -120,7 +121,9 @@ def vote_carving(
             f"scene {scene.name}: the votes carved all {inside_hull.sum():,} voxels of the hull"
         )
     labels = np.where(volume.occupied, np.where(inside_hull, Label.INCONSISTENT, Label.BACKGROUND), Label.UNSEEN)
-    return hull_of_field(field, labels, volume, views)
+    hull = hull_of_field(field, labels, volume)
+    color_visible(hull, ItemBuffer(views, volume), field > 0)
+    return hull
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ import open3d as o3d
 from numpy.typing import NDArray
 
 from recon3d.evaluation.shape import ShapeQuality
+from recon3d.rendering.ray_caster import RayCaster
 from recon3d.rendering.renderer import Renderer
 from recon3d.scene.scene import Scene
 from recon3d.scene.view import View
@@ -115,7 +116,9 @@ class Quality(Summarised):
         }
 
 
-def measure_quality(mesh: o3d.geometry.TriangleMesh, scene: Scene, *, max_pixels: int = 500_000) -> Quality:
+def measure_quality(
+    mesh: o3d.geometry.TriangleMesh, scene: Scene, *, max_pixels: int = 500_000, caster: RayCaster | None = None
+) -> Quality:
     """Measure a coloured mesh by a scene's photographs and silhouettes, and by its own shape.
 
     Views that the reconstruction has not used show how it generalises. Rays go through the centres of pixels, so a
@@ -126,6 +129,7 @@ def measure_quality(mesh: o3d.geometry.TriangleMesh, scene: Scene, *, max_pixels
     mesh : in the scene's frame; without vertex colours nothing is compared with the photographs.
     max_pixels : of all photographs together; of larger ones every second, third, ... row and column is taken, which
         are pixels as they are, not averages.
+    caster : of the mesh, where there is one already.
 
     Raises
     ------
@@ -136,7 +140,7 @@ def measure_quality(mesh: o3d.geometry.TriangleMesh, scene: Scene, *, max_pixels
     shape = ShapeQuality.of(mesh)
     total = sum(view.width * view.height for view in scene.views)
     step = int(np.ceil(np.sqrt(total / max_pixels)))
-    renderer = Renderer(mesh)
+    renderer = Renderer(mesh, caster)
     colored = mesh.has_vertex_colors()
     return Quality({view.name: _compare(renderer, view, step, colored=colored) for view in scene.views}, shape)
 
@@ -149,14 +153,15 @@ def _compare(renderer: Renderer, view: View, step: int, *, colored: bool) -> Rep
     taken = np.s_[start::step, start::step]
     photograph = view.image[taken]
     height, width = photograph.shape[:2]
-    rendering = renderer.render(np.linalg.inv(coarse) @ view.K, view.cam_from_world, width, height)
+    pixels = renderer.cast(np.linalg.inv(coarse) @ view.K, view.cam_from_world, width, height)
 
-    compared, intersection, union = rendering.hit, 0, 0
+    hit = compared = pixels.hit
+    intersection = union = 0
     if view.silhouette is not None:
         silhouette = view.silhouette[taken]
-        compared = rendering.hit & silhouette
-        intersection, union = int(np.count_nonzero(compared)), int(np.count_nonzero(rendering.hit | silhouette))
-    shown = (255 * rendering.colors[compared]).astype(np.float32) if colored else np.empty((0, 3), np.float32)
+        compared = hit & silhouette
+        intersection, union = int(np.count_nonzero(compared)), int(np.count_nonzero(hit | silhouette))
+    shown = (255 * renderer.colors(pixels)[compared]).astype(np.float32) if colored else np.empty((0, 3), np.float32)
     seen = photograph[compared].astype(np.float32) if colored else shown
     difference = np.rint(_PER_LEVEL * np.abs(_luminance(shown) - _luminance(seen))).astype(np.int64)
     return Reprojection(np.bincount(difference, minlength=255 * _PER_LEVEL + 1), intersection, union)

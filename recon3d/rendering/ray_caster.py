@@ -2,9 +2,22 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 import open3d as o3d
 from numpy.typing import NDArray
+
+
+class Hits(NamedTuple):
+    """What rays hit first."""
+
+    distance: NDArray[np.float32]
+    """(...,) in lengths of the rays' directions; infinite where nothing is hit."""
+    triangle: NDArray[np.uint32]
+    """(...,) of no meaning where nothing is hit, as are the weights."""
+    uv: NDArray[np.float32]
+    """(..., 2) weights of the triangle's second and third corner."""
 
 
 class RayCaster:
@@ -21,18 +34,13 @@ class RayCaster:
         moved.translate(-self._middle)
         self._scene.add_triangles(o3d.t.geometry.TriangleMesh.from_legacy(moved))
 
-    def first_hits(
-        self, origin: NDArray[np.float64], directions: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.float64]]:
-        """For rays (..., 3) from one point: their length in directions, infinite where none; triangle; its (u, v)."""
-        start = np.broadcast_to(origin - self._middle, directions.shape)
-        rays = np.concatenate([start, directions], axis=-1).astype(np.float32)
+    def first_hits(self, origin: NDArray[np.float64], directions: NDArray[np.float64]) -> Hits:
+        """What rays (..., 3) from one point hit first."""
+        rays = np.empty((*directions.shape[:-1], 6), np.float32)
+        rays[..., :3] = origin - self._middle
+        rays[..., 3:] = directions
         answer = self._scene.cast_rays(o3d.core.Tensor.from_numpy(rays))
-        return (
-            answer["t_hit"].numpy().astype(np.float64),
-            answer["primitive_ids"].numpy().astype(np.int64),
-            answer["primitive_uvs"].numpy().astype(np.float64),
-        )
+        return Hits(*(answer[name].numpy() for name in ("t_hit", "primitive_ids", "primitive_uvs")))
 
     def hidden(self, origin: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Whether something of the mesh lies between one point and each of points (n, 3)."""

@@ -54,9 +54,14 @@ MODES = ("colored", "shaded", "normals", "depth")
 
 
 class Renderer:
-    """Casts rays at one mesh from as many cameras as wanted."""
+    """Casts rays at one mesh from as many cameras as wanted.
 
-    def __init__(self, mesh: o3d.geometry.TriangleMesh) -> None:
+    Parameters
+    ----------
+    caster : of the mesh, where there is one already.
+    """
+
+    def __init__(self, mesh: o3d.geometry.TriangleMesh, caster: RayCaster | None = None) -> None:
         if not mesh.has_triangles():
             raise ValueError("the mesh to render has no triangles")
         if not mesh.has_vertex_normals():
@@ -66,31 +71,70 @@ class Renderer:
         self._triangles = np.asarray(mesh.triangles)
         self._normals = np.asarray(mesh.vertex_normals)
         self._colors = np.asarray(mesh.vertex_colors) if mesh.has_vertex_colors() else np.full_like(self._normals, 0.7)
-        self._caster = RayCaster(mesh)
+        self._caster = caster or RayCaster(mesh)
 
     def render(self, K: NDArray[np.float64], cam_from_world: NDArray[np.float64], width: int, height: int) -> Rendering:
         """View of a camera with the full K (skew too), pixel centres at integers."""
-        origin, directions = pixel_rays(K, cam_from_world, width, height)
-        depth, triangle, uv = self._caster.first_hits(origin, directions)
-        hit = np.isfinite(depth)
-        corners, uv = self._triangles[triangle[hit]], uv[hit]
-        weights = np.column_stack([1 - uv.sum(axis=1), uv])
-
-        def interpolated(values: NDArray[np.float64]) -> NDArray[np.float64]:
-            image = np.zeros((height, width, 3))
-            image[hit] = np.einsum("nc,ncd->nd", weights, values[corners])
-            return image
-
-        normals = interpolated(self._normals)
-        normals /= np.maximum(np.linalg.norm(normals, axis=2, keepdims=True), 1e-12)
-        sight = directions / np.linalg.norm(directions, axis=2, keepdims=True)
-        cosine = -(normals * sight).sum(axis=2)
-        normals *= np.where(cosine < 0, -1.0, 1.0)[..., None]
-        return Rendering(hit, depth, normals, np.clip(interpolated(self._colors), 0, 1), np.abs(cosine))
+        seen = self.cast(K, cam_from_world, width, height)
+        normals, cosine = self.normals(seen)
+        return Rendering(seen.hit, seen.depth.astype(np.float64), normals, self.colors(seen), cosine)
 
     def render_view(self, view: View) -> Rendering:
         """View from an input camera."""
         return self.render(view.K, view.cam_from_world, view.width, view.height)
+
+    def cast(self, K: NDArray[np.float64], cam_from_world: NDArray[np.float64], width: int, height: int) -> SeenPixels:
+        """Where the rays of a camera's pixels meet the mesh, from which the rest is interpolated."""
+        center, directions = pixel_rays(K, cam_from_world, width, height)
+        return SeenPixels(*self._caster.first_hits(center, directions), directions)
+
+    def normals(self, seen: SeenPixels) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """(rows, columns, 3) unit normals towards the camera, zero beside the mesh; their cosine to the line of sight.
+
+        The cosine (rows, columns) is in [0, 1].
+        """
+        normals = self._interpolated(self._normals, seen)
+        normals /= np.maximum(np.linalg.norm(normals, axis=2, keepdims=True), 1e-12)
+        sight = seen.directions / np.linalg.norm(seen.directions, axis=2, keepdims=True)
+        cosine = -(normals * sight).sum(axis=2)
+        normals *= np.where(cosine < 0, -1.0, 1.0)[..., None]
+        return normals, np.abs(cosine)
+
+    def colors(self, seen: SeenPixels) -> NDArray[np.float64]:
+        """(rows, columns, 3) vertex colours in [0, 1]; zero beside the mesh."""
+        return np.clip(self._interpolated(self._colors, seen), 0, 1)
+
+    def _interpolated(self, values: NDArray[np.float64], seen: SeenPixels) -> NDArray[np.float64]:
+        """(rows, columns, 3) of values (n_vertices, 3); zero beside the mesh."""
+        hit = seen.hit
+        uv = seen.uv[hit].astype(np.float64)
+        weights = np.column_stack([1 - uv.sum(axis=1), uv])
+        image = np.zeros((*hit.shape, 3))
+        image[hit] = np.einsum("nc,ncd->nd", weights, values[self._triangles[seen.triangle[hit]]])
+        return image
+
+
+@dataclass(frozen=True)
+class SeenPixels:
+    """Where the rays of a camera's pixels first meet a mesh."""
+
+    depth: NDArray[np.float32]
+    """(rows, columns) distance along the optical axis, world units; infinite beside the mesh."""
+    triangle: NDArray[np.uint32]
+    """(rows, columns) of no meaning beside the mesh, as are the weights."""
+    uv: NDArray[np.float32]
+    """(rows, columns, 2) weights of the triangle's second and third corner."""
+    directions: NDArray[np.float64]
+    """(rows, columns, 3) of the rays, of depth one, world."""
+
+    @property
+    def hit(self) -> NDArray[np.bool_]:
+        """(rows, columns) pixels that show the mesh."""
+        return np.isfinite(self.depth)
+
+    def strided(self, stride: int) -> SeenPixels:
+        """Every stride-th row and column, the first included."""
+        return SeenPixels(*(array[::stride, ::stride] for array in vars(self).values()))
 
 
 def pixel_rays(

@@ -120,9 +120,9 @@ class Matcher:
         normals = np.zeros((*depths[:, ::stride, ::stride].shape, 3), np.float32)
         renderer = Renderer(self._surface)
         for n, view in enumerate(self.scene.views):
-            rendering = renderer.render_view(view)
-            depths[n, : view.height, : view.width] = np.where(rendering.hit, rendering.depth, 0)
-            strided = rendering.normals[::stride, ::stride]
+            seen = renderer.cast(view.K, view.cam_from_world, view.width, view.height)
+            depths[n, : view.height, : view.width] = np.where(seen.hit, seen.depth, 0)
+            strided, _ = renderer.normals(seen.strided(stride))
             normals[n, : strided.shape[0], : strided.shape[1]] = strided
         return depths, normals
 

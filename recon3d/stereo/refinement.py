@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
 from recon3d.carving.depth_votes import carve_by_depths, hull_of_field
+from recon3d.carving.item_buffer import ItemBuffer
+from recon3d.carving.visible import color_visible
 from recon3d.scene.scene import Scene
 from recon3d.stereo.fusion import Fusion, fuse
 from recon3d.stereo.patch_match import DepthMap, Matcher, Matching
@@ -94,6 +96,7 @@ def refine(
                 progress(n_pass * len(scene.views) + n + 1, n_steps)
         fusion = fuse(scene, depth_maps, matching)
         hull = _carve(scene, hull, depth_maps, fusion, matching)
+    color_visible(hull, ItemBuffer(scene.packed, hull.volume), hull.with_interior.occupied)
     return Refinement(fusion.cloud(), hull)
 
 
@@ -110,7 +113,7 @@ def _carve(
         stride=matching.stride, resolution=_BLUR * volume.voxel_size, truncation=_TRUNCATION * volume.voxel_size,
         prior=_PRIOR,
     )  # fmt: skip
-    return hull_of_field(field, np.where(solid, Label.INCONSISTENT, hull.labels), volume, views)
+    return hull_of_field(field, np.where(solid, Label.INCONSISTENT, hull.labels), volume)
 
 
 def _distance_inside(solid: NDArray[np.bool_], voxel_size: float) -> NDArray[np.float32]:

@@ -12,7 +12,7 @@ from scipy.ndimage import binary_dilation, binary_fill_holes, gaussian_filter, g
 from recon3d.errors import EmptyReconstructionError
 from recon3d.kernels.min_cut import SINK, min_cut
 from recon3d.kernels.splatting import splat_planes
-from recon3d.surface.extraction import blend_colors, mesh_level
+from recon3d.surface.extraction import mesh_level
 from recon3d.volume.carved import CarvedVolume
 from recon3d.volume.dense import CarvingVolume
 
@@ -68,8 +68,7 @@ def graph_cut(
     Parameters
     ----------
     points : on the CPU, world units; ``positions`` (n, 3), ``normals`` (n, 3) of unit length and outwards,
-        ``confidence`` (n,) or (n, 1) in (0, 1], ``colors`` (n, 3), uint8 or floats in [0, 1]. Those outside the hull
-        and its margin are left out.
+        ``confidence`` (n,) or (n, 1) in (0, 1]. Those outside the hull and its margin are left out.
     hull : what was carved: its ``solid`` holds the object, give or take the margin.
     attraction : of the surface by support: the Gaussian sum of the confidences of the points near a voxel, 1 at the
         median of the voxels that hold points.
@@ -82,7 +81,7 @@ def graph_cut(
     Returns
     -------
     o3d.geometry.TriangleMesh
-        Closed and edge-manifold, coloured by the nearest points, normals outwards; without enclosed cavities.
+        Closed and edge-manifold, without colours and enclosed cavities, normals outwards.
 
     Raises
     ------
@@ -113,12 +112,7 @@ def graph_cut(
             f"the cut left none of the hull's {int(solid.sum()):,} voxels; more evidence or ballooning would keep some"
         )
     distance = _surface_distance(occupied, hull, support, behind)
-    mesh = mesh_level(np.pad(distance, _PADDING, constant_values=-1), 0.0, hull.volume, _PADDING, smoothing)
-    vertices = np.asarray(mesh.vertices)
-    mesh.vertex_colors = o3d.utility.Vector3dVector(
-        blend_colors(oriented.world, oriented.colors, hull.volume.voxel_size, vertices)
-    )
-    return mesh
+    return mesh_level(np.pad(distance, _PADDING, constant_values=-1), 0.0, hull.volume, _PADDING, smoothing)
 
 
 @dataclass(frozen=True)
@@ -131,15 +125,13 @@ class _OrientedPoints:
     """(n, 3) of unit length, outwards."""
     confidence: NDArray[np.float32]
     """(n,) in (0, 1]."""
-    colors: NDArray[np.uint8]
-    """(n, 3)."""
 
     def __post_init__(self) -> None:
         n = len(self.world)
-        if not self.world.shape == self.normals.shape == self.colors.shape == (n, 3) or self.confidence.shape != (n,):
+        if not self.world.shape == self.normals.shape == (n, 3) or self.confidence.shape != (n,):
             raise ValueError(
-                f"expected points with positions, normals and colors (n, 3) and confidence (n,), got "
-                f"{self.world.shape}, {self.normals.shape}, {self.colors.shape} and {self.confidence.shape}"
+                f"expected points with positions and normals (n, 3) and confidence (n,), got {self.world.shape}, "
+                f"{self.normals.shape} and {self.confidence.shape}"
             )
         if not np.isfinite(self.world).all():
             raise ValueError("expected finite positions of points")
@@ -151,19 +143,13 @@ class _OrientedPoints:
     @classmethod
     def read(cls, cloud: o3d.t.geometry.PointCloud) -> _OrientedPoints:
         """From an Open3D tensor point cloud."""
-        missing = [name for name in ("positions", "normals", "confidence", "colors") if name not in cloud.point]
+        names = ("positions", "normals", "confidence")
+        missing = [name for name in names if name not in cloud.point]
         if missing:
-            raise ValueError(f"expected points with positions, normals, confidence and colors, got no {missing[0]}")
-        given = {name: cloud.point[name].cpu().numpy() for name in ("positions", "normals", "confidence", "colors")}
-        colors, confidence = given["colors"], given["confidence"].astype(np.float32)
-        if colors.dtype != np.uint8:
-            colors = np.rint(255 * np.clip(colors, 0, 1)).astype(np.uint8)
-        return cls(
-            given["positions"].astype(np.float64),
-            given["normals"].astype(np.float32),
-            confidence[:, 0] if confidence.ndim == 2 and confidence.shape[1] == 1 else confidence,
-            colors,
-        )
+            raise ValueError(f"expected points with {', '.join(names)}, got no {missing[0]}")
+        positions, normals, confidence = (cloud.point[name].cpu().numpy() for name in names)
+        confidence = confidence[:, 0] if confidence.ndim == 2 and confidence.shape[1] == 1 else confidence
+        return cls(positions.astype(np.float64), normals.astype(np.float32), confidence.astype(np.float32))
 
     def on_lattice(self, volume: CarvingVolume) -> NDArray[np.float64]:
         """(n, 3) positions in a volume's voxels, whose centres lie at integers."""
@@ -176,7 +162,7 @@ class _OrientedPoints:
         kept[kept] = mask[tuple(nearest[kept].T)]
         if not kept.any():
             raise EmptyReconstructionError(f"none of {len(kept):,} points lies in the hull: are both in one frame?")
-        return _OrientedPoints(self.world[kept], self.normals[kept], self.confidence[kept], self.colors[kept])
+        return _OrientedPoints(self.world[kept], self.normals[kept], self.confidence[kept])
 
 
 def _votes(

@@ -1,4 +1,4 @@
-"""From oriented points to a closed mesh, and which of it the points support."""
+"""From oriented points to a closed mesh, and where the points measured it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import open3d as o3d
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from recon3d.surface.extraction import blend_colors, mesh_shape
+from recon3d.surface.extraction import mesh_shape
 from recon3d.surface.graph_cut import graph_cut
 from recon3d.volume.carved import CarvedVolume
 
@@ -23,8 +23,32 @@ _REACH = 2.0  # spacings from a point within which the surface is measured
 _MARGIN = 1.1  # of Poisson's cube around the points
 
 
+class MeasuredSpace:
+    """Where the surface is measured: within two spacings of a point.
+
+    Parameters
+    ----------
+    points : with ``positions`` (n, 3), world units.
+    spacing : between points, world units.
+    """
+
+    def __init__(self, points: o3d.t.geometry.PointCloud, spacing: float) -> None:
+        self._tree = cKDTree(points.point.positions.numpy())
+        self._reach = _REACH * spacing
+
+    def holds(self, places: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """(n,) which world positions (n, 3) lie in it."""
+        distance, _ = self._tree.query(places, distance_upper_bound=self._reach, workers=-1)
+        return np.asarray(np.isfinite(distance))
+
+
 def mesh_points(
-    points: o3d.t.geometry.PointCloud, hull: CarvedVolume, *, surface: Surface = "poisson", spacing: float | None = None
+    points: o3d.t.geometry.PointCloud,
+    hull: CarvedVolume,
+    *,
+    surface: Surface = "poisson",
+    spacing: float | None = None,
+    measured: MeasuredSpace | None = None,
 ) -> o3d.geometry.TriangleMesh:
     """Closed mesh through oriented points; where there are none, the hull closes it, or a small surface inside it.
 
@@ -37,11 +61,12 @@ def mesh_points(
         hull.
     spacing : finest detail that Poisson resolves, and half the distance from the nearest point beyond which the hull
         takes over, world units; half a voxel when None.
+    measured : where the points measured the surface, where that is known already.
 
     Returns
     -------
     TriangleMesh
-        With vertex normals outwards, and the nearest points' colours.
+        Without colours, vertex normals outwards.
 
     Raises
     ------
@@ -58,7 +83,7 @@ def mesh_points(
     if surface == "graph-cut":
         return graph_cut(points, hull)
     spacing = spacing or hull.volume.voxel_size / 2
-    closed = _closed_by_hull(points, hull, spacing)
+    closed = _closed_by_hull(points, hull, measured or MeasuredSpace(points, spacing))
     extent = float(max(closed.get_max_bound() - closed.get_min_bound()))
     depth = max(round(np.log2(_MARGIN * extent / spacing)), 1)
     # Poisson computes in single precision, so far from the origin it would lose the surface; on more threads than one,
@@ -68,24 +93,16 @@ def mesh_points(
     mesh, _ = o3d.geometry.TriangleMesh.create_from_point_cloud_poisson(closed, depth=depth, scale=_MARGIN, n_threads=1)
     mesh.translate(middle)
     mesh.compute_vertex_normals()
-    positions, colors = points.point.positions.numpy(), points.point.colors.numpy()
-    blended = blend_colors(positions, np.rint(255 * colors).astype(np.uint8), spacing, np.asarray(mesh.vertices))
-    mesh.vertex_colors = o3d.utility.Vector3dVector(blended)
     return mesh
 
 
-def near_points(places: NDArray[np.float64], points: o3d.t.geometry.PointCloud, spacing: float) -> NDArray[np.bool_]:
-    """(n,) which world positions (n, 3) lie near enough to a point to be measured: within two spacings."""
-    tree = cKDTree(points.point.positions.numpy())
-    distance, _ = tree.query(places, distance_upper_bound=_REACH * spacing, workers=-1)
-    return np.asarray(np.isfinite(distance))
-
-
-def _closed_by_hull(points: o3d.t.geometry.PointCloud, hull: CarvedVolume, spacing: float) -> o3d.geometry.PointCloud:
+def _closed_by_hull(
+    points: o3d.t.geometry.PointCloud, hull: CarvedVolume, measured: MeasuredSpace
+) -> o3d.geometry.PointCloud:
     """The points, and the hull's surface where it lies far from all of them."""
     shell = mesh_shape(hull.with_interior, distance=hull.distance)
     vertices = np.asarray(shell.vertices)
-    gap = ~near_points(vertices, points, spacing)
+    gap = ~measured.holds(vertices)
     cloud = o3d.geometry.PointCloud(
         o3d.utility.Vector3dVector(np.concatenate([points.point.positions.numpy(), vertices[gap]]))
     )

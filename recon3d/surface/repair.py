@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
+from typing import NamedTuple
 
 import numpy as np
 import open3d as o3d
@@ -28,6 +29,10 @@ class Repairs:
     inward_pieces: int = 0
     """Closed pieces turned because their triangles faced inwards."""
 
+    def __add__(self, other: Repairs) -> Repairs:
+        """Both counts together."""
+        return Repairs(*(getattr(self, field.name) + getattr(other, field.name) for field in fields(self)))
+
     def record(self) -> dict[str, int]:
         """The counts by name."""
         return asdict(self)
@@ -43,56 +48,79 @@ class Repairs:
         return ", ".join(f"{count:,} {what}" for what, count in told.items() if count)
 
 
-def drop_small_components(mesh: o3d.geometry.TriangleMesh, min_area: float) -> tuple[o3d.geometry.TriangleMesh, int]:
-    """The mesh without pieces of a smaller area, and how many these were; the largest piece stays whatever its area.
+class Repaired(NamedTuple):
+    """A mesh in order."""
 
-    Parameters
-    ----------
-    min_area : square world units.
-    """
-    points, triangles = np.asarray(mesh.vertices), np.asarray(mesh.triangles)
-    piece = _pieces(triangles)
-    a, b, c = points[triangles].transpose(1, 0, 2)
-    areas = np.bincount(piece, 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1))
-    small = areas < min_area
-    small[areas.argmax()] = False
-    if not small.any():
-        return mesh, 0
-    kept = o3d.geometry.TriangleMesh(mesh)
-    kept.remove_triangles_by_mask(np.asarray(small[piece]).tolist())
-    kept.remove_unreferenced_vertices()
-    return kept, int(small.sum())
+    mesh: o3d.geometry.TriangleMesh
+    repairs: Repairs
+    source: NDArray[np.int64]
+    """(n_vertices,) the vertex of the given mesh that each vertex is a copy of."""
 
 
-def repair_mesh(mesh: o3d.geometry.TriangleMesh) -> tuple[o3d.geometry.TriangleMesh, Repairs]:
-    """The mesh with manifold edges and vertices, its closed pieces the right side out, and what was wrong with it.
+def repair_mesh(
+    mesh: o3d.geometry.TriangleMesh, *, kept: NDArray[np.bool_] | None = None, min_area: float = 0.0
+) -> Repaired:
+    """The mesh with manifold edges and vertices, without small components, its closed pieces the right side out.
 
     Where triangles meet at an edge or a vertex without forming one sheet, the sheets are cut apart: their vertices
     are doubled and stay where they are, so the surface does not move. A closed piece faces outwards where an even
     number of others encloses it, into the cavity where an odd number does.
+
+    Parameters
+    ----------
+    mesh : vertices that no triangle uses are left out.
+    kept : (n_vertices,) triangles with a vertex that is not kept are cut away first; at least one must be left. All
+        are kept when None.
+    min_area : connected pieces of a smaller area, in square world units, are dropped; the largest stays.
 
     References
     ----------
     Gueziec, Taubin, Lazarus, Horn, "Cutting and stitching: converting sets of polygons to manifold surfaces", IEEE
     Transactions on Visualization and Computer Graphics 2001 (cutting through the corners' connectivity).
     """
-    triangles = np.asarray(mesh.triangles)
+    given = np.asarray(mesh.triangles)
+    triangles = given if kept is None else given[kept[given].all(axis=1)]
+    if not len(triangles):
+        raise ValueError(f"expected a mesh with a triangle to keep, got none of {len(given):,}")
     first, second, crowded = _neighbouring_corners(triangles)
     sheet = _components(first, second, triangles.size)
     source = np.empty(sheet.max() + 1, np.int64)
     source[sheet] = triangles.ravel()
-    doubled = np.bincount(source, minlength=len(mesh.vertices)) > 1
-    cut = o3d.geometry.TriangleMesh(mesh)
-    if doubled.any():
-        cut = _rebuilt(mesh, source, sheet.reshape(-1, 3))
-    inward, n_inward = _inward(cut)
+    n_doubled = int((np.bincount(source) > 1).sum())
+    corners = sheet.reshape(-1, 3)
+    small, n_small = _small_pieces(np.asarray(mesh.vertices)[source], corners, min_area)
+    corners = corners[~small]
+    used = np.unique(corners)
+    used = used[np.argsort(source[used], kind="stable")]  # in the given mesh's order
+    rank = np.empty(len(source), np.int64)
+    rank[used] = np.arange(len(used))
+    source = source[used]
+    sound = _rebuilt(mesh, source, rank[corners])
+    inward, n_inward = _inward(sound)
     if n_inward:
-        turned = np.asarray(cut.triangles).copy()
+        turned = np.asarray(sound.triangles).copy()
         turned[inward] = turned[inward][:, ::-1]
-        cut.triangles = o3d.utility.Vector3iVector(turned)
-    if mesh.has_vertex_normals() and (n_inward or doubled.any()):
-        cut.compute_vertex_normals()
-    return cut, Repairs(0, crowded, int(doubled.sum()), n_inward)
+        sound.triangles = o3d.utility.Vector3iVector(turned)
+    if mesh.has_vertex_normals() and (n_inward or n_doubled):
+        sound.compute_vertex_normals()
+    return Repaired(sound, Repairs(n_small, crowded, n_doubled, n_inward), source)
+
+
+def _small_pieces(
+    points: NDArray[np.float64], triangles: NDArray[np.int32], min_area: float
+) -> tuple[NDArray[np.bool_], int]:
+    """(n_triangles,) which belong to pieces of a smaller area that are not the largest, and how many these are."""
+    piece = _pieces(triangles)
+    areas = np.bincount(piece, triangle_areas(points, triangles))
+    small = areas < min_area
+    small[areas.argmax()] = False
+    return small[piece], int(small.sum())
+
+
+def triangle_areas(points: NDArray[np.float64], triangles: NDArray[np.integer]) -> NDArray[np.float64]:
+    """(n_triangles,) areas of triangles (n_triangles, 3) over points (n, 3)."""
+    a, b, c = points[triangles].transpose(1, 0, 2)
+    return np.asarray(0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1))
 
 
 def _neighbouring_corners(triangles: NDArray[np.int32]) -> tuple[NDArray[np.int64], NDArray[np.int64], int]:
@@ -151,15 +179,17 @@ def _enclosed(mesh: o3d.geometry.TriangleMesh, piece: NDArray[np.int64], n_piece
 
 
 def _rebuilt(
-    mesh: o3d.geometry.TriangleMesh, source: NDArray[np.int64], triangles: NDArray[np.int32]
+    mesh: o3d.geometry.TriangleMesh, source: NDArray[np.int64], triangles: NDArray[np.int64]
 ) -> o3d.geometry.TriangleMesh:
-    """Mesh of triangles over vertices that are copies of others (n,), with their colours."""
+    """Mesh of triangles over vertices that are copies of others (n,), with their colours and normals."""
     rebuilt = o3d.geometry.TriangleMesh(
         o3d.utility.Vector3dVector(np.asarray(mesh.vertices)[source]),
         o3d.utility.Vector3iVector(triangles.astype(np.int32)),
     )
     if mesh.has_vertex_colors():
         rebuilt.vertex_colors = o3d.utility.Vector3dVector(np.asarray(mesh.vertex_colors)[source])
+    if mesh.has_vertex_normals():
+        rebuilt.vertex_normals = o3d.utility.Vector3dVector(np.asarray(mesh.vertex_normals)[source])
     return rebuilt
 
 

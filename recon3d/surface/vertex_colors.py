@@ -15,7 +15,7 @@ from recon3d.rendering.ray_caster import RayCaster
 from recon3d.rendering.renderer import pixel_rays
 from recon3d.scene.packed import PackedViews
 from recon3d.scene.scene import Scene
-from recon3d.surface.visibility import vertex_visibility
+from recon3d.surface.visibility import VertexVisibility
 
 _JUMP = 5.0  # pixel footprints of depth between neighbouring pixels that make an edge
 
@@ -26,26 +26,31 @@ _EDGE_WEIGHT = 0.05  # of a pixel at an edge: it counts where nothing better is 
 _SWEEPS = 50  # edges that colours flow along the surface
 
 
-def color_from_views(
-    mesh: o3d.geometry.TriangleMesh, scene: Scene
-) -> tuple[o3d.geometry.TriangleMesh, NDArray[np.int64]]:
-    """A mesh with the colours that the photographs agree on at its vertices, and how many views see each vertex.
+def color(
+    mesh: o3d.geometry.TriangleMesh,
+    scene: Scene,
+    *,
+    visibility: VertexVisibility | None = None,
+    caster: RayCaster | None = None,
+) -> o3d.geometry.TriangleMesh:
+    """A mesh with the colours that the photographs agree on at its vertices.
 
-    Each view that sees a vertex (see ``vertex_visibility``) is sampled between its pixels. A view weighs by the number
-    of pixels that it has for an area of the surface (cosine over footprint squared), and hardly where its pixel lies
-    beside a jump of depth, since what lies behind bleeds in there; a pixel in the background or beside it is not
-    asked. Channel by channel the weighted median of the views counts: a highlight, or a view that is mistaken, cannot
-    draw it away from what the others agree on. Where no view can be asked, colours flow in along the surface from
-    where one can.
+    Each view that sees a vertex is sampled between its pixels. A view weighs by the number of pixels that it has for
+    an area of the surface (cosine over footprint squared), and hardly where its pixel lies beside a jump of depth,
+    since what lies behind bleeds in there; a pixel in the background or beside it is not asked. Channel by channel the
+    weighted median of the views counts: a highlight, or a view that is mistaken, cannot draw it away from what the
+    others agree on. Where no view can be asked, colours flow in along the surface from where one can.
 
     Parameters
     ----------
     mesh : closed or open; its normals say which side is looked at.
+    visibility : of the mesh's vertices in the scene's views, where it is known already.
+    caster : of what hides the mesh, where there is one already; the mesh itself when None.
 
     Returns
     -------
-    mesh : a copy with vertex colours in [0, 1], and normals.
-    support : (n_vertices,) how many views see each vertex; where it is 0 the colour has flowed in.
+    o3d.geometry.TriangleMesh
+        A copy with vertex colours in [0, 1], and normals.
 
     Raises
     ------
@@ -61,11 +66,17 @@ def color_from_views(
     if not mesh.has_vertex_normals():
         mesh.compute_vertex_normals()
     points, normals = np.asarray(mesh.vertices), np.asarray(mesh.vertex_normals)
-    views, caster = scene.packed, RayCaster(mesh)
-    seen = vertex_visibility(mesh, scene, caster)
+    caster = caster or RayCaster(mesh)
+    visibility = visibility or VertexVisibility.of(mesh, scene, caster)
+    if visibility.seen.shape != (len(scene.views), len(points)):
+        raise ValueError(
+            f"expected the visibility of {len(points):,} vertices in {len(scene.views)} views, "
+            f"got {visibility.seen.shape[1]:,} in {visibility.seen.shape[0]}"
+        )
+    views = scene.packed
     colors = np.full((len(points), 3), np.nan)
     agreed_colors(
-        points, normals, seen, views.projections, views.centers, views.focals, views.sizes, views.images,
+        points, normals, visibility.seen, views.projections, views.centers, views.focals, views.sizes, views.images,
         _trust(caster, scene, views), colors,
     )  # fmt: skip
     known = np.isfinite(colors[:, 0])
@@ -73,7 +84,7 @@ def color_from_views(
         raise EmptyReconstructionError(f"scene {scene.name}: no view shows any of the surface, so it has no colours")
     _let_flow(colors, known, points, np.asarray(mesh.triangles))
     mesh.vertex_colors = o3d.utility.Vector3dVector(np.clip(colors / 255, 0, 1))
-    return mesh, seen.sum(axis=0)
+    return mesh
 
 
 def _trust(caster: RayCaster, scene: Scene, views: PackedViews) -> NDArray[np.float32]:
@@ -84,8 +95,8 @@ def _trust(caster: RayCaster, scene: Scene, views: PackedViews) -> NDArray[np.fl
     trust = np.zeros(views.foreground.shape, np.float32)
     window = np.ones((3, 3), np.uint8)
     for n, view in enumerate(scene.views):
-        depth, _, _ = caster.first_hits(*pixel_rays(view.K, view.cam_from_world, view.width, view.height))
-        inverse = 1 / depth
+        hits = caster.first_hits(*pixel_rays(view.K, view.cam_from_world, view.width, view.height))
+        inverse = 1 / hits.distance.astype(np.float64)
         bend = np.zeros_like(inverse)
         bend[:, 1:-1] = np.abs(np.diff(inverse, 2, axis=1))
         bend[1:-1] = np.maximum(bend[1:-1], np.abs(np.diff(inverse, 2, axis=0)))

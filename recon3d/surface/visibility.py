@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import open3d as o3d
 from numpy.typing import NDArray
 
-from recon3d.errors import EmptyReconstructionError
 from recon3d.kernels.vertex_colors import facing_views
 from recon3d.rendering.ray_caster import RayCaster
 from recon3d.scene.scene import Scene
@@ -14,34 +15,44 @@ from recon3d.scene.scene import Scene
 _CLEARANCE = 0.1  # pixel footprints before a vertex where its line of sight ends
 
 
-def vertex_visibility(
-    mesh: o3d.geometry.TriangleMesh, scene: Scene, caster: RayCaster | None = None
-) -> NDArray[np.bool_]:
-    """(n_views, n_vertices) whether a view sees a vertex of a mesh: from outside, nothing of the mesh in between.
+@dataclass(frozen=True)
+class VertexVisibility:
+    """Which views see which vertices of a mesh: from outside, nothing of the mesh in between."""
 
-    Parameters
-    ----------
-    caster : of the mesh, where there is one already.
-    """
-    if not mesh.has_vertex_normals():
-        mesh = o3d.geometry.TriangleMesh(mesh)
-        mesh.compute_vertex_normals()
-    caster = caster or RayCaster(mesh)
-    vertices, normals = np.asarray(mesh.vertices), np.asarray(mesh.vertex_normals)
-    # A vertex lies on triangles of its own, so its ray ends a little before it.
-    ends = vertices + _CLEARANCE * scene.pixel_footprint * normals
-    seen = np.empty((len(scene.views), len(vertices)), np.bool_)
-    projections = np.stack([view.projection for view in scene.views])
-    sizes = np.array([(view.width, view.height) for view in scene.views])
-    facing_views(vertices, normals, projections, scene.centers, sizes, seen)
-    for row, view in zip(seen, scene.views, strict=True):
-        row[row] = ~caster.hidden(view.center, ends[row])
-    return seen
+    seen: NDArray[np.bool_]
+    """(n_views, n_vertices)."""
 
+    @classmethod
+    def of(cls, mesh: o3d.geometry.TriangleMesh, scene: Scene, caster: RayCaster | None = None) -> VertexVisibility:
+        """Find the views that see each vertex of a mesh.
 
-def count_seeing_views(mesh: o3d.geometry.TriangleMesh, scene: Scene) -> NDArray[np.int64]:
-    """(n_vertices,) how many views see each vertex of a mesh."""
-    return np.asarray(vertex_visibility(mesh, scene).sum(axis=0))
+        Parameters
+        ----------
+        mesh : closed or open; its normals say which side is looked at.
+        caster : of the mesh, where there is one already.
+        """
+        if not mesh.has_vertex_normals():
+            mesh = o3d.geometry.TriangleMesh(mesh)
+            mesh.compute_vertex_normals()
+        caster = caster or RayCaster(mesh)
+        vertices, normals = np.asarray(mesh.vertices), np.asarray(mesh.vertex_normals)
+        # A vertex lies on triangles of its own, so its ray ends a little before it.
+        ends = vertices + _CLEARANCE * scene.pixel_footprint * normals
+        views = scene.packed
+        seen = np.empty((len(views), len(vertices)), np.bool_)
+        facing_views(vertices, normals, views.projections, views.centers, views.sizes, seen)
+        for row, center in zip(seen, views.centers, strict=True):
+            row[row] = ~caster.hidden(center, ends[row])
+        return cls(seen)
+
+    @property
+    def n_views(self) -> NDArray[np.int64]:
+        """(n_vertices,) how many views see each vertex."""
+        return np.asarray(self.seen.sum(axis=0), np.int64)
+
+    def of_vertices(self, index: NDArray[np.int64]) -> VertexVisibility:
+        """Of a mesh whose vertices are copies of those at an index (n,)."""
+        return VertexVisibility(self.seen[:, index])
 
 
 def keep_vertices(mesh: o3d.geometry.TriangleMesh, kept: NDArray[np.bool_]) -> o3d.geometry.TriangleMesh:
@@ -49,18 +60,4 @@ def keep_vertices(mesh: o3d.geometry.TriangleMesh, kept: NDArray[np.bool_]) -> o
     part = o3d.geometry.TriangleMesh(mesh)
     part.remove_triangles_by_mask(~kept[np.asarray(mesh.triangles)].all(axis=1))
     part.remove_unreferenced_vertices()
-    return part
-
-
-def without_unseen(mesh: o3d.geometry.TriangleMesh, scene: Scene) -> o3d.geometry.TriangleMesh:
-    """The part of a mesh that some view sees: open where nobody looked, such as underneath.
-
-    Raises
-    ------
-    EmptyReconstructionError : no view sees any of it.
-    """
-    seen = count_seeing_views(mesh, scene) > 0
-    part = keep_vertices(mesh, seen)
-    if not part.has_triangles():
-        raise EmptyReconstructionError(f"scene {scene.name}: no view sees any of the surface")
     return part
