@@ -11,6 +11,8 @@ from scenes import full_volume, plain_view
 
 from recon3d import Bounds, CarvingVolume, Scene, View
 from recon3d.carving.depth_votes import carve_by_depths, hull_of_field
+from recon3d.carving.item_buffer import ItemBuffer
+from recon3d.carving.visible import color_visible
 from recon3d.volume.carved import Label
 
 SIDE = 16  # voxels of length one
@@ -103,7 +105,10 @@ def test_the_hull_of_a_field_is_what_is_positive_coloured_where_it_is_seen(view:
     image[:, :20], image[:, 20:] = [200, 0, 0], [0, 100, 0]
     scene = Scene((replace(view, image=image),), Bounds([0, 0, 0], [SIDE] * 3))
     field = np.broadcast_to((np.arange(SIDE) - 5.5).astype(np.float64), volume.shape)
-    hull = hull_of_field(field, np.full(volume.shape, Label.BACKGROUND), volume, scene.packed)
+    hull = hull_of_field(field, np.full(volume.shape, Label.BACKGROUND), volume)
+    assert (hull.labels[..., 6:] == Label.HIDDEN).all()
+    assert not hull.volume.n_occupied
+    color_visible(hull, ItemBuffer(scene.packed, volume), field > 0)
     assert (hull.labels[..., :6] == Label.BACKGROUND).all()
     assert (hull.labels[2:-2, 2:-2, 6] == Label.CONSISTENT).all()
     assert (hull.labels[2:-2, 2:-2, 7:] == Label.HIDDEN).all()
@@ -113,5 +118,5 @@ def test_the_hull_of_a_field_is_what_is_positive_coloured_where_it_is_seen(view:
     assert hull.distance is not None
     np.testing.assert_array_equal(hull.distance, field)
     assert hull.distance.dtype == np.float32
-    nothing = hull_of_field(-np.ones(volume.shape), np.zeros(volume.shape, np.uint8), volume, scene.packed)
+    nothing = hull_of_field(-np.ones(volume.shape), np.zeros(volume.shape, np.uint8), volume)
     assert nothing.with_interior.n_occupied == 0
