@@ -36,7 +36,7 @@ scene
 
 # %%
 volume = recon3d.CarvingVolume.enclosing(scene.bounds, n_voxels=500_000)
-hull = recon3d.voxel_coloring(scene, volume, recon3d.FuzzyAdaptiveHysteresis())
+hull = recon3d.VoxelColoring(recon3d.FuzzyAdaptiveHysteresis()).carve(scene, volume)
 hull
 
 # %% [markdown]

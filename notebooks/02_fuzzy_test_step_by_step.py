@@ -55,7 +55,7 @@ class Remembering:
 
 test = Remembering()
 volume = recon3d.CarvingVolume.enclosing(scene.bounds, n_voxels=200_000)
-hull = recon3d.voxel_coloring(scene, volume, test)
+hull = recon3d.VoxelColoring(test).carve(scene, volume)
 hull
 
 # %% [markdown]
@@ -202,7 +202,7 @@ go.Figure(clouds, {"scene": {"aspectmode": "data"}, "margin": dict.fromkeys("lrt
 # hysteresis made of it. Here a candidate that its neighbours saved.
 
 # %%
-settings = recon3d.Settings(n_voxels=200_000, method="voxel-coloring")
+settings = recon3d.Settings(n_voxels=200_000, carving=recon3d.VoxelColoring())
 saved = volume.centers(groups["candidate, kept"][0])
 recon3d.explain(scene, settings, at=saved[len(saved) // 2])
 

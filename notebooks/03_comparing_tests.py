@@ -27,7 +27,7 @@ import recon3d
 built_in = recon3d.little_temple(width=320, height=240)
 scene = built_in.scene
 same_for_all = {
-    "settings": recon3d.Settings(n_voxels=100_000, method="voxel-coloring", max_views=8),
+    "settings": recon3d.Settings(n_voxels=100_000, max_views=8, carving=recon3d.VoxelColoring()),
     "ground_truth": built_in.ground_truth,
     "completeness_threshold_mm": 2.5,  # about a voxel
     "spacing": 1e-3,  # of the samples that are measured, world units: quick rather than fine
@@ -86,7 +86,7 @@ own.plot()
 
 # %%
 result = recon3d.reconstruct(
-    scene, recon3d.Settings(n_voxels=100_000, method="voxel-coloring", max_views=8, test=same_hue)
+    scene, recon3d.Settings(n_voxels=100_000, max_views=8, carving=recon3d.VoxelColoring(test=same_hue))
 )
 recon3d.show_mesh(result.mesh)
 

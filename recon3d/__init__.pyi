@@ -1,16 +1,17 @@
 from ._version import __version__ as __version__
 from .carving import (
     METHODS,
-    fine_generalized_voxel_coloring,
-    fine_visual_hull,
-    generalized_voxel_coloring,
+    FineGeneralizedVoxelColoring,
+    FineVisualHull,
+    GeneralizedVoxelColoring,
+    ProbabilisticSpaceCarving,
+    Roxels,
+    SpaceCarving,
+    VisualHull,
+    VoteCarving,
+    VoxelColoring,
+    carve,
     largest_admissible_views,
-    probabilistic_space_carving,
-    roxels,
-    space_carving,
-    visual_hull,
-    vote_carving,
-    voxel_coloring,
 )
 from .consistency import (
     TESTS,
@@ -24,6 +25,7 @@ from .consistency import (
 )
 from .datasets import SCENES, BuiltInScene, little_temple
 from .errors import (
+    ArgumentError,
     DataError,
     EmptyReconstructionError,
     Recon3dError,
@@ -66,9 +68,10 @@ from .scene import (
     without_silhouettes,
 )
 from .settings import Settings
-from .stereo import Matching, Refinement, refine
+from .stereo import PASSES, Matching, Refinement, refine
 from .study import Comparison, Trial, compare
 from .surface import (
+    Meshing,
     Repairs,
     VertexVisibility,
     color,
@@ -79,12 +82,14 @@ from .surface import (
     repair_mesh,
     surface_points,
 )
-from .volume import CarvedVolume, CarvingVolume, Label, SparseVolume
+from .volume import CarvedVolume, CarvingVolume, Label, Lattice, SparseVolume
 
 __all__ = [
     "METHODS",
+    "PASSES",
     "SCENES",
     "TESTS",
+    "ArgumentError",
     "Bounds",
     "BuiltInScene",
     "CarvedVolume",
@@ -96,11 +101,17 @@ __all__ = [
     "EmptyReconstructionError",
     "Evaluation",
     "Explanation",
+    "FineGeneralizedVoxelColoring",
+    "FineVisualHull",
     "FuzzyAdaptiveHysteresis",
+    "GeneralizedVoxelColoring",
     "Hysteresis",
     "Label",
+    "Lattice",
     "Matching",
+    "Meshing",
     "Patches",
+    "ProbabilisticSpaceCarving",
     "Quality",
     "Recon3dError",
     "Reconstruction",
@@ -109,10 +120,12 @@ __all__ = [
     "Rendering",
     "Repairs",
     "Reprojection",
+    "Roxels",
     "Scene",
     "SceneError",
     "Settings",
     "ShapeQuality",
+    "SpaceCarving",
     "SparseVolume",
     "StandardDeviation",
     "Trial",
@@ -120,7 +133,11 @@ __all__ = [
     "VertexVisibility",
     "View",
     "VisibilityError",
+    "VisualHull",
     "VolumeTooLargeError",
+    "VoteCarving",
+    "VoxelColoring",
+    "carve",
     "color",
     "compare",
     "comparison_sheet",
@@ -128,9 +145,6 @@ __all__ = [
     "evaluate",
     "evaluate_files",
     "explain",
-    "fine_generalized_voxel_coloring",
-    "fine_visual_hull",
-    "generalized_voxel_coloring",
     "graph_cut",
     "largest_admissible_views",
     "little_temple",
@@ -141,7 +155,6 @@ __all__ = [
     "mesh_volume",
     "open_scene",
     "plot_evaluation",
-    "probabilistic_space_carving",
     "read_geometry",
     "read_mesh",
     "read_middlebury",
@@ -149,19 +162,14 @@ __all__ = [
     "reconstruct",
     "refine",
     "repair_mesh",
-    "roxels",
     "save",
     "save_error_maps",
     "save_evaluation",
     "save_pictures",
     "show_mesh",
-    "space_carving",
     "surface_points",
     "triangles_near",
     "turntable",
-    "visual_hull",
-    "vote_carving",
-    "voxel_coloring",
     "with_mask_files",
     "with_segmented_silhouettes",
     "with_threshold_silhouettes",

@@ -1,4 +1,8 @@
-"""What can go wrong with files and reconstructions; a bad argument is a plain ``ValueError``."""
+"""What can go wrong with arguments, files and reconstructions."""
+
+
+class ArgumentError(ValueError):
+    """An argument, option or setting has no possible value, or does not go with another one."""
 
 
 class Recon3dError(Exception):

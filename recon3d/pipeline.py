@@ -7,13 +7,13 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from time import perf_counter
-from typing import Any
 
 import numpy as np
 import open3d as o3d
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
-from recon3d.carving import METHODS
+from recon3d.carving.observer import Observer
 from recon3d.errors import EmptyReconstructionError
 from recon3d.evaluation.distances import evaluate
 from recon3d.evaluation.photographs import measure_quality
@@ -23,13 +23,15 @@ from recon3d.result import Reconstruction
 from recon3d.scene.scene import Scene
 from recon3d.settings import Settings, choose_views
 from recon3d.stereo.refinement import Stages, refine
-from recon3d.surface.extraction import mesh_shape, surface_points
+from recon3d.surface.extraction import mesh_shape, mesh_sparse, surface_points
 from recon3d.surface.poisson import MeasuredSpace, mesh_points
 from recon3d.surface.repair import Repairs, repair_mesh
 from recon3d.surface.vertex_colors import color
 from recon3d.surface.visibility import VertexVisibility
-from recon3d.volume.carved import CarvedVolume
-from recon3d.volume.dense import CarvingVolume
+from recon3d.tasks import Progress as StepProgress
+from recon3d.volume.carved import Carved, CarvedVolume
+from recon3d.volume.lattice import Lattice
+from recon3d.volume.sparse import SparseVolume
 
 _SPACING = 1.5  # of a sharp surface's finest detail, pixel footprints
 
@@ -66,21 +68,24 @@ def reconstruct(
     with _timed(timings, "views"):
         scene = choose_views(scene, settings)
     with _timed(timings, "carving"):
-        volume = CarvingVolume.enclosing(scene.bounds, voxel_size=settings.voxel_size, n_voxels=settings.n_voxels)
-        hull = carve(scene, volume, settings, stages, progress=lambda done, total: report("carving", done, total))
-    sharp = None
-    if settings.quality == "dense":
+        lattice = settings.lattice(scene)
+        hull = kept_carving(
+            scene, lattice, settings, stages, progress=lambda done, total: report("carving", done, total)
+        )
+    sharp, passes, meshing = None, settings.passes_for(scene), settings.meshing
+    if passes:
         with _timed(timings, "matching"):
             sharp, hull = refine(
-                scene, hull, stages=stages, progress=lambda done, total: report("matching", done, total)
-            )
+                scene, hull.dense(), passes=passes, stages=stages,
+                progress=lambda done, total: report("matching", done, total),
+            )  # fmt: skip
     with _timed(timings, "surface"):
         report("surface", 0, 3)
-        min_area = settings.min_component * volume.voxel_size**2
+        min_area = meshing.min_component * lattice.voxel_size**2
         if sharp:
             spacing = _SPACING * scene.pixel_footprint
             measured = MeasuredSpace(sharp, spacing)
-            mesh = mesh_points(sharp, hull, surface=settings.surface, spacing=spacing, measured=measured)
+            mesh = mesh_points(sharp, hull.dense(), surface=meshing.surface, spacing=spacing, measured=measured)
         else:
             mesh = _carved_mesh(hull, settings)
         mesh, repairs, _ = repair_mesh(mesh, min_area=min_area)
@@ -90,16 +95,16 @@ def reconstruct(
         support = visibility.n_views
         if sharp:
             support[~measured.holds(np.asarray(mesh.vertices))] = 0
-        if not settings.keep_unsupported:
+        if not meshing.keep_unsupported:
             mesh, visibility, support, repairs = _supported(scene, mesh, visibility, support, repairs, min_area)
         report("surface", 2, 3)
         mesh = color(mesh, scene, visibility=visibility, caster=caster)
-        points = sharp.to_legacy() if sharp else surface_points(hull.volume, solid=hull.with_interior)
+        points = sharp.to_legacy() if sharp else _voxel_points(hull, mesh)
         confidence = sharp.point.confidence.numpy().ravel() if sharp else None
         report("surface", 3, 3)
     with _timed(timings, "quality"):
         report("quality", 0, 1)
-        quality = measure_quality(mesh, scene, caster=caster if settings.keep_unsupported else None)
+        quality = measure_quality(mesh, scene, caster=caster if meshing.keep_unsupported else None)
         report("quality", 1, 1)
     evaluation = None
     if ground_truth is not None:
@@ -119,11 +124,10 @@ def keep_stages(folder: Path | str, scene: Scene, settings: Settings) -> Checkpo
     """
     settings = settings.resolved(scene)
     scene = choose_views(scene, settings)
-    if settings.test is not None:
+    if settings.method_for(scene).uses_test:
         return None
-    chosen = ("n_voxels", "voxel_size", "method", "method_options", "views", "max_views")
-    told = {name: value for name, value in settings.record().items() if name in chosen}
-    chosen_by = json.dumps(told, sort_keys=True, default=np.generic.item)
+    told = {name: value for name, value in settings.record().items() if name != "meshing"}
+    chosen_by = json.dumps(told, sort_keys=True)
     return Checkpoints(folder, f"{code_fingerprint()} {scene.fingerprint()} {chosen_by}")
 
 
@@ -143,27 +147,45 @@ def _supported(
     return part, visibility.of_vertices(source), support[source], repairs + more
 
 
-def _carved_mesh(hull: CarvedVolume, settings: Settings) -> o3d.geometry.TriangleMesh:
+def _carved_mesh(hull: Carved, settings: Settings) -> o3d.geometry.TriangleMesh:
     """Mesh of the accepted voxels, or of all that is solid."""
-    shell = METHODS[settings.method].one_sided and not settings.fill_hidden
-    return mesh_shape(
-        hull.volume if shell else hull.with_interior, distance=hull.distance, smoothing=settings.smoothing
-    )
+    smoothing = 5 if settings.meshing.smoothing is None else settings.meshing.smoothing
+    if isinstance(hull, SparseVolume):
+        return mesh_sparse(hull, smoothing=smoothing)
+    hull = hull.dense()
+    shell = settings.carving is not None and settings.carving.one_sided and not settings.meshing.fill_hidden
+    return mesh_shape(hull.volume if shell else hull.with_interior, distance=hull.distance, smoothing=smoothing)
 
 
-def carve(
-    scene: Scene, volume: CarvingVolume, settings: Settings, stages: Stages | None = None, **callbacks: Any
-) -> CarvedVolume:
-    """Carve a volume with the method and test of resolved settings, or take what an earlier run kept of that.
+def _voxel_points(hull: Carved, mesh: o3d.geometry.TriangleMesh) -> o3d.geometry.PointCloud:
+    """Coloured centres of the visible voxels, with unit normals outwards; of a sparse volume those of the mesh."""
+    if not isinstance(hull, SparseVolume):
+        return surface_points(hull.dense().volume, solid=hull.dense().with_interior)
+    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(hull.centers(hull.visible)))
+    cloud.colors = o3d.utility.Vector3dVector(hull.colors[hull.visible] / 255.0)
+    _, nearest = cKDTree(np.asarray(mesh.vertices)).query(np.asarray(cloud.points), workers=-1)
+    cloud.normals = o3d.utility.Vector3dVector(np.asarray(mesh.vertex_normals)[nearest])
+    return cloud
 
-    Callbacks such as ``progress`` go to the method.
-    """
+
+def kept_carving(
+    scene: Scene,
+    lattice: Lattice,
+    settings: Settings,
+    stages: Stages | None = None,
+    *,
+    progress: StepProgress | None = None,
+    observer: Observer | None = None,
+) -> Carved:
+    """Carve a lattice as the settings say, or take what an earlier run kept of that."""
     if stages is not None and "carving" in stages:
-        return CarvedVolume.from_arrays(volume, stages["carving"])
-    hull = METHODS[settings.method].carve(scene, volume, settings.test, **callbacks, **settings.method_options)
+        arrays = stages["carving"]
+        kind = SparseVolume if "slots" in arrays else CarvedVolume
+        return kind.from_arrays(lattice, arrays)
+    carved = settings.method_for(scene).carve(scene, lattice, progress=progress, observer=observer)
     if stages is not None:
-        stages["carving"] = hull.arrays()
-    return hull
+        stages["carving"] = carved.arrays()
+    return carved
 
 
 @contextmanager

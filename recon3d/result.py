@@ -20,7 +20,7 @@ from recon3d.scene.scene import Scene
 from recon3d.settings import Settings
 from recon3d.summary import Summarised
 from recon3d.surface.repair import Repairs, triangle_areas
-from recon3d.volume.carved import CarvedVolume
+from recon3d.volume.carved import Carved
 
 
 @dataclass(frozen=True, repr=False)
@@ -30,8 +30,8 @@ class Reconstruction(Summarised):
     scene: Scene
     """With the views that were used."""
     settings: Settings
-    carved: CarvedVolume
-    """What carving left; of a sharp result, after the depths found carved it once more."""
+    carved: Carved
+    """What carving left; of a dense result, after carving by the matched depths."""
     points: o3d.geometry.PointCloud
     """Coloured, with outward normals: the centres of the surface voxels, or the points that dense matching found."""
     confidence: NDArray[np.float64] | None
@@ -60,7 +60,7 @@ class Reconstruction(Summarised):
 
     def record(self) -> dict[str, Any]:
         """Every parameter, version, timing and figure of the run, for a JSON file."""
-        volume = self.carved.volume
+        lattice = self.carved.lattice
         return {
             "recon3d": __version__,
             "versions": {
@@ -76,7 +76,7 @@ class Reconstruction(Summarised):
                 **self.scene.notes,
             },
             "settings": self.settings.record(),
-            "volume": {"shape": list(volume.shape), "voxel_size": volume.voxel_size, "origin": list(volume.origin)},
+            "volume": {"shape": list(lattice.shape), "voxel_size": lattice.voxel_size, "origin": list(lattice.origin)},
             "voxels": self.carved.counts(),
             "mesh": {
                 "vertices": len(self.mesh.vertices),
@@ -91,12 +91,12 @@ class Reconstruction(Summarised):
 
     def summary(self) -> dict[str, object]:
         """Table of the run."""
-        volume = self.carved.volume
-        mm = volume.voxel_size * self.scene.mm_per_unit
+        lattice = self.carved.lattice
+        mm = lattice.voxel_size * self.scene.mm_per_unit
         supported = self.supported_share
         return {
             "scene": f"{self.scene.name}, {len(self.scene.views)} views",
-            "voxels": f"{volume.occupied.size:,} of {mm:.3g} mm, {volume.n_occupied:,} accepted",
+            "voxels": f"{lattice.n_voxels:,} of {mm:.3g} mm, {self.carved.n_accepted:,} accepted",
             "mesh": f"{len(self.mesh.triangles):,} triangles; {supported:.0%} of the surface measured, "
             f"{1 - supported:.0%} filled from the hull",
             **({"mended": str(self.repairs)} if str(self.repairs) else {}),

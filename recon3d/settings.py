@@ -3,121 +3,150 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
-from inspect import Parameter, signature
-from typing import Any, Literal, get_args
+from dataclasses import asdict, dataclass, field, fields, replace
+from typing import Any, Literal
 
 import numpy as np
 
-from recon3d.carving import METHODS
+from recon3d.carving import METHODS, N_VOXELS, Method, suitable_method
+from recon3d.carving.start import any_silhouette
 from recon3d.carving.visibility import largest_admissible_views, spread_views
-from recon3d.consistency.base import ConsistencyTest
-from recon3d.consistency.fuzzy import FuzzyAdaptiveHysteresis
+from recon3d.checks import require_number, require_whole
 from recon3d.consistency.spec import _record_of, _restored
+from recon3d.errors import ArgumentError, DataError, SceneError
 from recon3d.scene.scene import Scene
-from recon3d.surface.poisson import Surface
-
-_CALLBACKS = ("progress", "observer")  # keywords of methods that are no options
-
-
-_ACCEPTED = {int: (int, np.integer), float: (int, float, np.integer, np.floating), str: (str,)}
+from recon3d.stereo.patch_match import Matching
+from recon3d.stereo.refinement import PASSES
+from recon3d.surface.meshing import Meshing
+from recon3d.volume.lattice import Lattice
 
 
 @dataclass(frozen=True)
 class Settings:
     """What to do with a scene.
 
-    The paper's own method is ``method="voxel-coloring"``: the fuzzy test, at a million voxels, of eight views
-    (``max_views=8``).
+    The paper's own method is ``carving=VoxelColoring()``: the fuzzy test, at a million voxels, of eight views
+    (``max_views=8``). ``dataclasses.replace`` changes single choices; the default for ``None`` and "auto" depends on
+    the scene, see ``resolved``.
     """
 
-    n_voxels: int | None = 1_000_000
-    """Approximate number of voxels in the bounds; None when ``voxel_size`` is given."""
-    voxel_size: float | None = None
-    """Edge length in world units, instead of ``n_voxels``."""
-    method: str = "auto"
-    """One of ``METHODS``, or "auto": generalised voxel colouring where a test is given or no silhouettes are known,
-    else vote carving."""
-    method_options: Mapping[str, Any] = field(default_factory=dict)
-    """Keywords of the method, such as ``connectivity`` and ``layering`` of ``voxel_coloring``."""
-    test: ConsistencyTest | None = None
-    """Any photo-consistency test, for a method that uses one; the paper's fuzzy test when None."""
     views: Literal["auto", "all"] | tuple[str, ...] = "auto"
     """"auto": all, or the largest subset that a one-sided method admits; "all"; or names, with wildcards."""
     max_views: int | None = None
     """With "auto": use at most so many, those farthest apart; the paper uses 8."""
-    fill_hidden: bool = False
-    """With a one-sided method, mesh what lies hidden behind the accepted voxels, too: solid, but partly guessed."""
-    quality: Literal["auto", "voxels", "dense"] = "auto"
-    """"voxels": the mesh of the voxels; "dense": of the points that dense matching finds inside them; "auto": sharp
-    where the method is left to choose and silhouettes are known."""
-    surface: Surface = "poisson"
-    """How a sharp mesh is made of its points."""
-    keep_unsupported: bool = True
-    """Keep surface that nothing was measured of, such as the underside that no view sees, so that the mesh is closed:
-    the hull's. A carved surface is supported where a view sees it, a sharp one where two views found it."""
-    smoothing: int = 5
-    """Pairs of Taubin steps on a carved mesh; 0: none."""
-    min_component: float = 100.0
-    """Area, in faces of a voxel, below which a separate piece of the mesh is a speck and dropped; 100 is the surface
-    of four voxels cubed, 0 keeps all."""
+    n_voxels: int | None = None
+    """Approximate number of voxels in the bounds; a million when neither this nor ``voxel_size`` is given."""
+    voxel_size: float | None = None
+    """Edge length in world units, instead of ``n_voxels``."""
+    carving: Method | None = None
+    """One of ``METHODS`` with its options; None: vote carving, or generalised voxel colouring where no silhouettes are
+    known."""
+    matching: Literal["auto"] | tuple[Matching, ...] | None = "auto"
+    """Passes of dense matching inside the carved volume; None: the mesh is that of the voxels; "auto": ``PASSES`` where
+    carving is left to choose and silhouettes are known, else none."""
+    meshing: Meshing = field(default_factory=Meshing)
+    """How the mesh is made."""
 
     def __post_init__(self) -> None:
-        if self.voxel_size is not None and not 0 < self.voxel_size < np.inf:
-            raise ValueError(f"expected a positive voxel size, got {self.voxel_size}")
+        self._check_views()
+        if self.n_voxels is not None:
+            require_whole("n_voxels", self.n_voxels)
         if self.voxel_size is not None:
-            object.__setattr__(self, "n_voxels", None)
-        if self.method != "auto" and self.method not in METHODS:
-            raise ValueError(f"expected method auto, {', '.join(METHODS)}, got {self.method!r}")
-        if isinstance(self.views, str) and self.views not in ("auto", "all"):
-            raise ValueError(f"expected views 'auto', 'all' or a tuple of names, got {self.views!r}")
-        for name, known in (("quality", ("auto", "voxels", "dense")), ("surface", get_args(Surface))):
-            if getattr(self, name) not in known:
-                raise ValueError(f"expected {name} {', '.join(known)}, got {getattr(self, name)!r}")
-        if self.max_views is not None and self.max_views < 1:
-            raise ValueError(f"expected max_views of at least 1, got {self.max_views}")
-        if self.smoothing < 0:
-            raise ValueError(f"expected smoothing of 0 or more, got {self.smoothing}")
-        if not 0 <= self.min_component < np.inf:
-            raise ValueError(f"expected min_component of 0 or more, got {self.min_component}")
+            require_number("voxel_size", self.voxel_size, "(0, inf)")
+        if self.n_voxels is not None and self.voxel_size is not None:
+            raise ArgumentError(f"expected n_voxels or voxel_size, got both: {self.n_voxels} and {self.voxel_size}")
+        if self.carving is not None and type(self.carving) not in METHODS.values():
+            names = ", ".join(method.__name__ for method in METHODS.values())
+            raise ArgumentError(f"expected carving by one of {names}, got {self.carving!r}")
+        self._check_matching()
+        self._check_meshing()
+
+    def _check_views(self) -> None:
+        """Refuse what names no views, and a limit on views that are all named."""
+        if self.views not in ("auto", "all"):
+            if isinstance(self.views, str) or not all(isinstance(name, str) for name in self.views) or not self.views:
+                raise ArgumentError(f"expected views 'auto', 'all' or a tuple of names, got {self.views!r}")
+            object.__setattr__(self, "views", tuple(self.views))
+        if self.max_views is not None:
+            require_whole("max_views", self.max_views)
+            if self.views != "auto":
+                raise ArgumentError(f"expected views 'auto' with max_views={self.max_views}, got {self.views!r}")
+
+    def _check_matching(self) -> None:
+        """Refuse what is no sequence of passes."""
+        if self.matching is None or self.matching == "auto":
+            return
+        if isinstance(self.matching, str | Matching) or not all(isinstance(each, Matching) for each in self.matching):
+            raise ArgumentError(f"expected matching 'auto', None or a tuple of Matching, got {self.matching!r}")
+        if not self.matching:
+            raise ArgumentError("expected one or more passes of matching, or None for no matching, got ()")
+        object.__setattr__(self, "matching", tuple(self.matching))
+
+    def _check_meshing(self) -> None:
+        """Refuse options of a mesh that is not made; where that depends on the scene, once it is known."""
+        if not isinstance(self.meshing, Meshing):
+            raise ArgumentError(f"expected meshing to be a Meshing, got {self.meshing!r}")
+        if self.meshing.fill_hidden and (self.carving is None or not self.carving.one_sided):
+            raise ArgumentError(
+                "fill_hidden: expected a one-sided carving method such as VoxelColoring, whose accepted voxels are a "
+                "shell; the mesh of all others is solid anyhow"
+            )
+        voxels = self.matching is None or (self.matching == "auto" and self.carving is not None)
+        if voxels and self.meshing.surface != "poisson":
+            raise ArgumentError(
+                f"surface={self.meshing.surface!r}: expected matching, since it is how a mesh is made of matched points"
+            )
+        for name, given in (
+            ("fill_hidden", self.meshing.fill_hidden),
+            ("smoothing", self.meshing.smoothing is not None),
+        ):
+            if given and isinstance(self.matching, tuple):
+                raise ArgumentError(f"{name}: expected matching=None, since it is of the mesh of the voxels")
 
     def resolved(self, scene: Scene) -> Settings:
-        """The same settings with the method, quality and test that "auto" and None mean for a scene.
+        """The same settings with what "auto" and None mean for a scene.
 
         Raises
         ------
-        ValueError : the method has no such option, or uses no test.
+        SceneError : the method needs silhouettes, and no view has one.
+        ArgumentError : an option means nothing for this scene.
         """
-        method = self.method
-        if method == "auto":
-            known = any(view.has_silhouette for view in scene.views)
-            method = "vote-carving" if known and self.test is None else "generalized-voxel-coloring"
-        quality = self.quality
-        if quality == "auto":
-            quality = "dense" if self.method == "auto" and method == "vote-carving" else "voxels"
-        kind = METHODS[method]
-        if self.test is not None and not kind.uses_test:
-            raise ValueError(f"{method} uses no photo-consistency test, got {self.test!r}")
-        parameters = signature(kind.carve).parameters.values()
-        options = [p.name for p in parameters if p.kind is Parameter.KEYWORD_ONLY and p.name not in _CALLBACKS]
-        unknown = [name for name in self.method_options if name not in options]
-        if unknown:
-            raise ValueError(f"{method} has no option {', '.join(unknown)}; it has {', '.join(options)}")
-        for parameter in parameters:
-            value, kinds = self.method_options.get(parameter.name), _ACCEPTED.get(type(parameter.default))
-            if value is not None and kinds and (isinstance(value, bool) or not isinstance(value, kinds)):
-                expected = type(parameter.default).__name__
-                raise ValueError(
-                    f"{method} option {parameter.name}: expected a value of type {expected}, got {value!r}"
-                )
-        test = self.test or (FuzzyAdaptiveHysteresis() if kind.uses_test else None)
-        return replace(self, method=method, quality=quality, test=test)
+        carving = self.method_for(scene)
+        if carving.needs_silhouettes and not any_silhouette(scene):
+            raise SceneError(f"scene {scene.name}: {method_name(carving)} needs silhouettes, and no view has one")
+        return replace(self, carving=carving, matching=self.passes_for(scene) or None, n_voxels=self._n_voxels)
+
+    def method_for(self, scene: Scene) -> Method:
+        """The carving method that is chosen, or suits a scene."""
+        return self.carving or suitable_method(scene)
+
+    def passes_for(self, scene: Scene) -> tuple[Matching, ...]:
+        """The passes of dense matching that are chosen, or suit a scene; empty: no matching."""
+        if self.matching == "auto":
+            return PASSES if self.carving is None and any_silhouette(scene) else ()
+        return self.matching or ()
+
+    @property
+    def _n_voxels(self) -> int | None:
+        return N_VOXELS if self.n_voxels is None and self.voxel_size is None else self.n_voxels
+
+    def lattice(self, scene: Scene) -> Lattice:
+        """Where the voxels of a scene lie."""
+        return Lattice.enclosing(scene.bounds, voxel_size=self.voxel_size, n_voxels=self._n_voxels)
 
     def record(self) -> dict[str, Any]:
-        """Every setting, for a JSON file; a test as its class, or module:name if it is a user's, and its parameters."""
-        plain = {name: value for name, value in vars(self).items() if name != "test"}
-        test = _record_of(self.test) if self.test else None
-        return {**plain, "method_options": dict(self.method_options), "test": test}
+        """Every setting, for a JSON file; a method or a test as its name and its options."""
+        return {
+            "views": self.views if isinstance(self.views, str) else list(self.views),
+            "max_views": _plain(self.max_views),
+            "n_voxels": _plain(self.n_voxels),
+            "voxel_size": _plain(self.voxel_size),
+            "carving": None if self.carving is None else _method_record(self.carving),
+            "matching": [_plain_fields(each) for each in self.matching]
+            if isinstance(self.matching, tuple)
+            else self.matching,
+            "meshing": _plain_fields(self.meshing),
+        }
 
     @classmethod
     def from_record(cls, record: Mapping[str, Any]) -> Settings:
@@ -125,14 +154,52 @@ class Settings:
 
         Raises
         ------
-        ValueError : a setting is not known or has no possible value.
+        ArgumentError : a setting is not known or has no possible value.
         DataError : the test cannot be made again: an object of a user's own that was given from Python.
         """
-        unknown = set(record) - {parameter.name for parameter in fields(cls)}
+        unknown = set(record) - {setting.name for setting in fields(cls)}
         if unknown:
-            raise ValueError(f"unknown settings {', '.join(sorted(unknown))}")
-        values: dict[str, Any] = {name: _restored(value) for name, value in record.items()}
+            raise ArgumentError(f"unknown settings {', '.join(sorted(unknown))}")
+        values = dict(record)
+        try:
+            if values.get("carving") is not None:
+                values["carving"] = _method_of(values["carving"])
+            if isinstance(values.get("matching"), list):
+                values["matching"] = tuple(Matching(**each) for each in values["matching"])
+            if "meshing" in values:
+                values["meshing"] = Meshing(**values["meshing"])
+        except TypeError as error:  # an option that is not there, or no options at all
+            raise ArgumentError(str(error)) from None
         return cls(**values)
+
+
+def method_name(method: Method) -> str:
+    """What a carving method is called in ``METHODS``."""
+    return next((name for name, kind in METHODS.items() if kind is type(method)), type(method).__name__)
+
+
+def _method_record(method: Method) -> dict[str, Any]:
+    """Name and options of a carving method."""
+    options = {option.name: getattr(method, option.name) for option in fields(method)}
+    told = {name: _record_of(value) if callable(value) else _plain(value) for name, value in options.items()}
+    return {"name": method_name(method), "options": told}
+
+
+def _method_of(record: Mapping[str, Any]) -> Method:
+    """The carving method that a record tells of."""
+    if record["name"] not in METHODS:
+        raise DataError(f"expected a carving method among {', '.join(METHODS)}, got {record['name']!r}")
+    return METHODS[record["name"]](**{name: _restored(value) for name, value in record["options"].items()})
+
+
+def _plain_fields(value: Any) -> dict[str, Any]:
+    """The fields of a value as JSON takes them."""
+    return {name: _plain(each) for name, each in asdict(value).items()}
+
+
+def _plain(value: Any) -> Any:
+    """A number as Python's own."""
+    return value.item() if isinstance(value, np.generic) else value
 
 
 def choose_views(scene: Scene, settings: Settings) -> Scene:
@@ -141,6 +208,6 @@ def choose_views(scene: Scene, settings: Settings) -> Scene:
         return scene
     if settings.views != "auto":
         return scene.subset(settings.views)
-    one_sided = METHODS[settings.method].one_sided
+    one_sided = settings.carving is not None and settings.carving.one_sided
     names = largest_admissible_views(scene) if one_sided else [view.name for view in scene.views]
     return spread_views(scene.subset(names), settings.max_views or len(names))

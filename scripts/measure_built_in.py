@@ -43,7 +43,9 @@ def main(
 ) -> None:
     """Print accuracy at 90% and completeness at 1.25 mm and at half a pixel's footprint."""
     built_in = recon3d.little_temple(n_views=views, noise=noise, light_change=light_change)
-    result = recon3d.reconstruct(built_in.scene, recon3d.Settings(surface=surface, keep_unsupported=False))
+    result = recon3d.reconstruct(
+        built_in.scene, recon3d.Settings(meshing=recon3d.Meshing(surface=surface, keep_unsupported=False))
+    )
     truth, seen = seen_by_two(built_in)
     half = built_in.scene.pixel_footprint * built_in.scene.mm_per_unit / 2
     measured = recon3d.evaluate(result.mesh, truth, valid=seen, spacing=half / 2000)

@@ -17,6 +17,7 @@ from recon3d.carving.visibility import sweep_direction
 from recon3d.rendering.sheets import portrait
 from recon3d.settings import choose_views
 
+PROPOSED = recon3d.VoxelColoring()
 HEAD = ("", "voxels accepted", "carving", "accuracy (90%)", "completeness (1.25 mm)")
 
 
@@ -31,7 +32,7 @@ def first_views(scene: recon3d.Scene, count: int) -> recon3d.Scene:
     first = scene.subset([view.name for view in scene.views[:count]])
     if sweep_direction(first.centers, scene.bounds.corners):
         return first
-    return choose_views(scene, recon3d.Settings(method="voxel-coloring", max_views=count))
+    return choose_views(scene, recon3d.Settings(max_views=count, carving=PROPOSED))
 
 
 @dataclass(frozen=True)
@@ -78,14 +79,20 @@ class DataSet:
     results: dict[str, Result] = field(default_factory=dict)
 
     def run(
-        self, title: str, *, silhouettes: str = "auto", views: int | None = 8, test: Any = None, **options: Any
+        self,
+        title: str,
+        *,
+        silhouettes: str = "auto",
+        views: int | None = 8,
+        carving: recon3d.VoxelColoring = PROPOSED,
+        **options: Any,
     ) -> Result:
         """The paper's method with a change, from its folder where it has been run before."""
         if title in self.results:
             return self.results[title]
         everything = photographs(self.folder, silhouettes)
         scene = everything if views is None else first_views(everything, views)
-        settings = recon3d.Settings(**{"n_voxels": self.n_voxels, "method": "voxel-coloring", "test": test, **options})
+        settings = recon3d.Settings(**{"n_voxels": self.n_voxels, "carving": carving, **options})
         settings = settings.resolved(scene)
         folder = self.runs / self.name / re.sub(r"\W+", "-", title).strip("-")
         print(f"{self.name}: {title}", flush=True)

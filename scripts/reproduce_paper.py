@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from paper_runs import HEAD, DataSet, Result, first_views, photographs
 
 import recon3d
+from recon3d import FuzzyAdaptiveHysteresis, VoxelColoring
 from recon3d.consistency import TESTS
 from recon3d.consistency.fuzzy import FuzzySingle, alternating_harmonic
 from recon3d.io.files import atomic_path, write_image
@@ -113,7 +114,7 @@ def figure_2(book: Book, data: DataSet) -> None:
     print(f"{data.name}: the sweep")
     noted = Noted()
     scene = first_views(photographs(data.folder, "auto"), 8)
-    recon3d.voxel_coloring(scene, recon3d.CarvingVolume.enclosing(scene.bounds, n_voxels=data.n_voxels), noted)
+    VoxelColoring(noted).carve(scene, recon3d.CarvingVolume.enclosing(scene.bounds, n_voxels=data.n_voxels))
     rows = np.vstack(noted.rows)
     parts = np.array_split(rows, min(200, len(rows)))
     plot = Figure(figsize=(14, 3.2), layout="constrained")
@@ -144,7 +145,7 @@ def figure_2(book: Book, data: DataSet) -> None:
 
 def one_threshold(data: DataSet, value: float) -> Result:
     """The degree against one threshold instead of two."""
-    return data.run(f"one threshold, {value:.2f}", test=FuzzySingle(threshold=value))
+    return data.run(f"one threshold, {value:.2f}", carving=VoxelColoring(FuzzySingle(threshold=value)))
 
 
 def figure_3(book: Book, data: DataSet) -> None:
@@ -166,7 +167,10 @@ def figure_5(book: Book, sets: Sequence[DataSet]) -> None:
         "this package's defaults, none of which was chosen on these photographs (scripts/tune_tests.py)."
     )
     for data in sets:
-        results = [data.proposed() if name == "fuzzy" else data.run(name, test=TESTS[name]()) for name in RIVALS]
+        results = [
+            data.proposed() if name == "fuzzy" else data.run(name, carving=VoxelColoring(TESTS[name]()))
+            for name in RIVALS
+        ]
         table = [HEAD, *(result.row() for result in results)]
         pictures = book.models(f"figure-5-{data.name}", results)
         book.sections.append(Section(f"Fig. 5: tests, {data.name}", [text], table, pictures))
@@ -228,19 +232,19 @@ def tried(book: Book, data: DataSet) -> None:
         data.proposed(),
         data.run("silhouettes by threshold", silhouettes="threshold"),
         data.run("no silhouettes", silhouettes="none"),
-        data.run("voxel by voxel, no layers", method_options={"layering": "voxels"}),
-        data.run("6 neighbours", method_options={"connectivity": 6}),
-        data.run("18 neighbours", method_options={"connectivity": 18}),
-        data.run("degree of the worst channel", test=recon3d.FuzzyAdaptiveHysteresis(intensity="channels")),
-        data.run("quartiles for deciles", test=recon3d.FuzzyAdaptiveHysteresis(trim=0.25)),
+        data.run("voxel by voxel, no layers", carving=VoxelColoring(layering="voxels")),
+        data.run("6 neighbours", carving=VoxelColoring(connectivity=6)),
+        data.run("18 neighbours", carving=VoxelColoring(connectivity=18)),
+        data.run("degree of the worst channel", carving=VoxelColoring(FuzzyAdaptiveHysteresis(intensity="channels"))),
+        data.run("quartiles for deciles", carving=VoxelColoring(FuzzyAdaptiveHysteresis(trim=0.25))),
         *(one_threshold(data, value) for value in SINGLE),
         data.run("a third of the voxels", n_voxels=data.n_voxels // 3),
         data.run("three times the voxels", n_voxels=3 * data.n_voxels),
         data.run("all views that the constraint admits", views=None),
         data.run("4 views", views=4),
         data.run("2 views", views=2),
-        data.run("hidden inside filled", fill_hidden=True),
-        data.run("surface that no view sees left out", keep_unsupported=False),
+        data.run("hidden inside filled", meshing=recon3d.Meshing(fill_hidden=True)),
+        data.run("surface that no view sees left out", meshing=recon3d.Meshing(keep_unsupported=False)),
     ]
     text = ["Each row changes one thing of the proposed method: silhouettes cut out along edges, layers of one voxel, "
             f"26 neighbours, luminance, deciles, {data.n_voxels:,} voxels, 8 views."]  # fmt: skip

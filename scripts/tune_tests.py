@@ -68,7 +68,7 @@ class Measured(NamedTuple):
 
     def f_score(self, test: recon3d.ConsistencyTest | None) -> float:
         """F-score in percent of what a test leaves; 0 where it leaves nothing."""
-        settings = recon3d.Settings(method="voxel-coloring", max_views=8, test=test)
+        settings = recon3d.Settings(max_views=8, carving=recon3d.VoxelColoring(test=test))
         try:
             result = recon3d.reconstruct(self.scene, settings)
         except recon3d.EmptyReconstructionError:

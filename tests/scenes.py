@@ -14,9 +14,15 @@ from recon3d.scene.bounds import Bounds
 from recon3d.scene.scene import Scene
 from recon3d.scene.view import View
 from recon3d.volume.dense import CarvingVolume
+from recon3d.volume.lattice import Lattice
 from recon3d.volume.sparse import SparseVolume
 
 ORIGIN = np.zeros(3)
+
+
+def lattice_of(scene: Scene, n: float) -> Lattice:
+    """Lattice of a scene with so many voxels along the longest side of its bounds."""
+    return Lattice.enclosing(scene.bounds, voxel_size=scene.bounds.longest / n)
 
 
 def rotation(axis_angle: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -160,18 +160,19 @@ def test_what_matters_to_a_stage_is_in_its_key(scene: Scene, tmp_path: Path) -> 
     other = replace(scene.views[0], image=scene.views[0].image // 2)
     darker = replace(scene, views=(other, *scene.views[1:]))
     different = [
-        key(), key(darker), key(n_voxels=9000), key(voxel_size=0.2), key(method="visual-hull", quality="dense"),
-        key(method_options={"min_score": 0.5}), key(views=("view0[1-3].png",)), key(max_views=3),
+        key(), key(darker), key(n_voxels=9000), key(n_voxels=None, voxel_size=0.2),
+        key(carving=recon3d.VisualHull(), matching=recon3d.PASSES), key(carving=recon3d.VoteCarving(min_score=0.5)),
+        key(matching=recon3d.PASSES[:2]), key(views=("view0[1-3].png",)), key(max_views=3),
     ]  # fmt: skip
     assert len(set(different)) == len(different)
     # What only comes after matching may change.
-    assert key(surface="graph-cut", keep_unsupported=False, min_component=0) == key()
-    assert key(method_options={"min_score": np.float64(0.5)}) == key(method_options={"min_score": 0.5})
+    assert key(meshing=recon3d.Meshing("graph-cut", keep_unsupported=False, min_component=0)) == key()
+    assert key(carving=recon3d.VoteCarving(np.float64(0.5))) == key(carving=recon3d.VoteCarving(0.5))
 
 
 def test_no_stages_are_kept_of_a_test_that_may_change_without_a_trace(scene: Scene, tmp_path: Path) -> None:
-    assert keep_stages(tmp_path, scene, Settings(test=recon3d.StandardDeviation())) is None
-    assert keep_stages(tmp_path, scene, Settings(method="voxel-coloring")) is None
+    for method in (recon3d.GeneralizedVoxelColoring(recon3d.StandardDeviation()), recon3d.VoxelColoring()):
+        assert keep_stages(tmp_path, scene, Settings(carving=method)) is None
 
 
 def test_a_fingerprint_tells_all_that_a_scene_is_made_of() -> None:

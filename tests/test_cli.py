@@ -86,13 +86,13 @@ def test_a_test_and_its_options_are_chosen_by_name(photographs: Path, tmp_path: 
         "--test", "standard-deviation", "--test-option", "threshold=45", "--views", "view0[1-5]*",
     )  # fmt: skip
     record = json.loads((tmp_path / "record.json").read_text())
-    assert record["settings"]["test"] == {"class": "StandardDeviation", "threshold": 45}
+    assert record["settings"]["carving"]["options"]["test"] == {"class": "StandardDeviation", "threshold": 45}
     assert len(record["scene"]["views"]) == 5
 
 
 def test_the_surface_may_be_made_again_from_the_stages_that_are_kept(photographs: Path, tmp_path: Path) -> None:
     command = ["reconstruct", photographs, "--voxels", 8000, "-o", tmp_path, "--no-pictures", "--views", "view0[1-3]*"]
-    command += ["--method", "visual-hull", "--quality", "dense"]
+    command += ["--method", "visual-hull", "--matching", "dense"]
 
     def unsupported() -> float:
         support = recon3d.read_support(tmp_path / "mesh.ply")
@@ -101,19 +101,20 @@ def test_the_surface_may_be_made_again_from_the_stages_that_are_kept(photographs
 
     def chosen() -> list[object]:
         settings = json.loads((tmp_path / "record.json").read_text())["settings"]
-        return [settings[name] for name in ("quality", "surface", "keep_unsupported")]
+        meshing = settings["meshing"]
+        return [len(settings["matching"] or ()), meshing["surface"], meshing["keep_unsupported"]]
 
     run(*command)
-    assert chosen() == ["dense", "poisson", True]
+    assert chosen() == [len(PASSES), "poisson", True]
     made = {path.name: path.stat().st_mtime_ns for path in (tmp_path / "stages").iterdir()}
     assert len(made) == 1 + 3 * len(PASSES)  # carving, and every pass over three views
     assert unsupported() > 0.2  # three views see a half of it
     run(*command, "--surface", "graph-cut", "--no-keep-unsupported")
-    assert chosen() == ["dense", "graph-cut", False]
+    assert chosen() == [len(PASSES), "graph-cut", False]
     assert unsupported() < 0.05
     assert {path.name: path.stat().st_mtime_ns for path in (tmp_path / "stages").iterdir()} == made
-    run(*command[:-1], "voxels")
-    assert chosen() == ["voxels", "poisson", True]
+    run(*command[:-1], "none")
+    assert chosen() == [0, "poisson", True]
 
 
 def test_tests_are_compared_swept_and_written(photographs: Path, temple: recon3d.BuiltInScene, tmp_path: Path) -> None:
@@ -143,7 +144,7 @@ def test_tests_are_compared_swept_and_written(photographs: Path, temple: recon3d
         (["reconstruct", "PHOTOGRAPHS", "--bounds", "1,2,3"], "--bounds: expected six numbers"),
         (
             ["reconstruct", "PHOTOGRAPHS", "--method", "voxel-coloring", "--method-option", "connectivity=7"],
-            "expected connectivity 6, 18 or 26",
+            "expected connectivity 6, 18, 26, got 7",
         ),
         (["reconstruct", "PHOTOGRAPHS", "--views", "view99.png"], "has no view view99.png"),
         (
@@ -155,13 +156,27 @@ def test_tests_are_compared_swept_and_written(photographs: Path, temple: recon3d
                 "--method-option",
                 "connectivity=7",
             ],
-            "expected connectivity 6, 18 or 26",
+            "expected connectivity 6, 18, 26, got 7",
         ),
         (
-            ["reconstruct", "PHOTOGRAPHS", "--method-option", "min_score=abc"],
-            "min_score: expected a value of type float",
+            ["reconstruct", "PHOTOGRAPHS", "--method", "vote-carving", "--method-option", "min_score=abc"],
+            "expected min_score to be a number in (-1, 1), got 'abc'",
         ),
-        (["reconstruct", "PHOTOGRAPHS", "--voxel-size", "nan"], "expected a positive voxel size, got nan"),
+        (["reconstruct", "PHOTOGRAPHS", "--method-option", "min_score=0.5"], "--method-option: expected --method, too"),
+        (
+            ["reconstruct", "PHOTOGRAPHS", "--method", "visual-hull", "--method-option", "colour=1"],
+            "--method-option: visual-hull has no colour; it has tolerance",
+        ),
+        (
+            ["reconstruct", "PHOTOGRAPHS", "--method", "visual-hull", "--test", "fuzzy"],
+            "--test: visual-hull uses no photo-consistency test",
+        ),
+        (["reconstruct", "PHOTOGRAPHS", "--method", "magic"], "--method: expected auto, visual-hull, "),
+        (["reconstruct", "PHOTOGRAPHS", "--voxels", "9", "--voxel-size", "0.1"], "expected n_voxels or voxel_size"),
+        (
+            ["reconstruct", "PHOTOGRAPHS", "--voxel-size", "nan"],
+            "expected voxel_size to be a number in (0, inf), got nan",
+        ),
         (["reconstruct", "PHOTOGRAPHS", "--mm-per-unit", "inf"], "expected mm_per_unit > 0, got inf"),
         (["reconstruct", "PHOTOGRAPHS", "--output", __file__], "expected a folder that can be written"),
         (["reconstruct", "little-temple", "--bounds", "0,0,0,1,1,1"], "it has its own bounds"),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -16,6 +15,7 @@ from scenes import (
     ball_mesh,
     cameras,
     cropped,
+    lattice_of,
     mask_of,
     photographs,
     plain_view,
@@ -25,15 +25,17 @@ from scenes import (
 from scipy.spatial import cKDTree
 
 from recon3d.carving.bricks import BYTES_PER_BRICK, BrickItems, Bricks
-from recon3d.carving.coarse_to_fine import fine_generalized_voxel_coloring, fine_visual_hull
-from recon3d.carving.generalized import generalized_voxel_coloring
+from recon3d.carving.fine_generalized import FineGeneralizedVoxelColoring
+from recon3d.carving.fine_visual_hull import FineVisualHull
+from recon3d.carving.generalized import GeneralizedVoxelColoring
+from recon3d.carving.method import Method
 from recon3d.carving.start import outline_distance
-from recon3d.carving.visual_hull import visual_hull
+from recon3d.carving.visual_hull import VisualHull
 from recon3d.consistency.base import ConsistencyTest, Patches, Verdict
 from recon3d.consistency.deviation import StandardDeviation
 from recon3d.consistency.fuzzy import FuzzyAdaptiveHysteresis
 from recon3d.datasets.synthetic import BuiltInScene, little_temple
-from recon3d.errors import EmptyReconstructionError, SceneError, VolumeTooLargeError
+from recon3d.errors import ArgumentError, EmptyReconstructionError, SceneError, VolumeTooLargeError
 from recon3d.kernels.brick_rays import next_brick
 from recon3d.kernels.bricks import BRICK, EMPTY, SOLID
 from recon3d.kernels.item_buffer import next_voxel
@@ -42,6 +44,7 @@ from recon3d.scene.scene import Scene
 from recon3d.scene.silhouettes import without_silhouettes
 from recon3d.volume.carved import CarvedVolume
 from recon3d.volume.dense import CarvingVolume
+from recon3d.volume.lattice import Lattice
 from recon3d.volume.sparse import SparseVolume
 
 
@@ -75,7 +78,7 @@ def assert_same(sparse: SparseVolume, dense: CarvedVolume) -> None:
         np.testing.assert_array_equal(distance, dense.distance)
     visible = mask_of(sparse, sparse.voxels(sparse.visible))
     np.testing.assert_array_equal(visible, dense.volume.occupied)
-    np.testing.assert_array_equal(sparse.dense().colors[visible], dense.volume.colors[visible])
+    np.testing.assert_array_equal(sparse.dense().volume.colors[visible], dense.volume.colors[visible])
     np.testing.assert_array_equal(mask_of(sparse, sparse.voxels()), solid.surface())
     assert sparse.n_occupied == solid.n_occupied
 
@@ -86,8 +89,11 @@ def assert_same(sparse: SparseVolume, dense: CarvedVolume) -> None:
 def test_the_fine_visual_hull_is_the_dense_one(name: str, n_voxels: int, tolerance: int, temple: BuiltInScene) -> None:
     scene = scene_named(name, temple)
     volume = CarvingVolume.enclosing(scene.bounds, n_voxels=n_voxels)
-    dense = visual_hull(scene, volume, tolerance=tolerance)
-    assert_same(fine_visual_hull(scene, volume.voxel_size, tolerance=tolerance), dense)
+    dense = VisualHull(tolerance=tolerance).carve(scene, volume)
+    assert_same(
+        FineVisualHull(tolerance=tolerance).carve(scene, volume),
+        dense,
+    )
 
 
 @pytest.mark.parametrize("test", [FuzzyAdaptiveHysteresis(), StandardDeviation(15)], ids=["fuzzy", "deviation"])
@@ -101,22 +107,25 @@ def test_fine_generalized_voxel_coloring_is_the_dense_one(
     if not silhouettes:
         scene = without_silhouettes(scene)
     volume = CarvingVolume.enclosing(scene.bounds, n_voxels=n_voxels)
-    dense = generalized_voxel_coloring(scene, volume, test)
-    assert_same(fine_generalized_voxel_coloring(scene, volume.voxel_size, test), dense)
+    dense = GeneralizedVoxelColoring(test).carve(scene, volume)
+    assert_same(
+        FineGeneralizedVoxelColoring(test).carve(scene, volume),
+        dense,
+    )
 
 
 @pytest.mark.parametrize("connectivity", [6, 18, 26])
 def test_candidates_are_carried_across_bricks_by_the_same_neighbours(connectivity: int, temple: BuiltInScene) -> None:
     scene = with_noise(temple.scene, 8)
     volume = CarvingVolume.enclosing(scene.bounds, n_voxels=20_000)
-    dense = generalized_voxel_coloring(scene, volume, connectivity=connectivity)  # type: ignore[arg-type]
-    fine = fine_generalized_voxel_coloring(scene, volume.voxel_size, connectivity=connectivity)  # type: ignore[arg-type]
+    dense = GeneralizedVoxelColoring(connectivity=connectivity).carve(scene, volume)  # type: ignore[arg-type]
+    fine = FineGeneralizedVoxelColoring(connectivity=connectivity).carve(scene, volume)  # type: ignore[arg-type]
     assert_same(fine, dense)
 
 
 def test_the_hull_stores_bricks_near_the_surface_alone(temple: BuiltInScene) -> None:
     def stored(n: int) -> tuple[int, float]:
-        hull = fine_visual_hull(temple.scene, temple.scene.bounds.longest / n)
+        hull = FineVisualHull().carve(temple.scene, lattice_of(temple.scene, n))
         assert (hull.slots == SOLID).any()
         assert (hull.slots == EMPTY).any()
         return hull.occupied.size, float(np.prod(hull.shape))
@@ -159,7 +168,7 @@ def test_rays_that_leave_a_brick_in_one_step_cross_the_walls_that_single_steps_c
 def test_the_item_buffer_of_bricks_is_brute_force_ray_casting_after_every_round() -> None:
     scene = little_temple(n_views=3, width=32, height=24).scene
     volume = CarvingVolume.enclosing(scene.bounds, n_voxels=6000)
-    bricks = Bricks(volume.origin, np.array(volume.shape), volume.voxel_size)
+    bricks = Bricks(volume.lattice)
     bricks.store_ends()
     buffer = BrickItems(scene.packed, bricks)
     occupied = volume.occupied.copy()
@@ -187,24 +196,24 @@ def test_a_camera_inside_the_volume_sees_the_same_from_bricks() -> None:
     wide = replace(scene, bounds=Bounds(np.minimum(scene.bounds.low, center - 0.05), center + 0.05))
     volume = CarvingVolume.enclosing(wide.bounds, n_voxels=40_000)
     test = StandardDeviation(20)
-    fine = fine_generalized_voxel_coloring(wide, volume.voxel_size, test)
-    assert_same(fine, generalized_voxel_coloring(wide, volume, test))
+    fine = FineGeneralizedVoxelColoring(test).carve(wide, volume)
+    assert_same(fine, GeneralizedVoxelColoring(test).carve(wide, volume))
 
 
-@pytest.mark.parametrize("carve", [fine_visual_hull, fine_generalized_voxel_coloring])
-def test_one_thread_equals_two(carve: Callable[[Scene, float], SparseVolume], temple: BuiltInScene) -> None:
+@pytest.mark.parametrize("method", [FineVisualHull(), FineGeneralizedVoxelColoring()])
+def test_one_thread_equals_two(method: Method, temple: BuiltInScene) -> None:
     results = []
     threads = numba.get_num_threads()
     for count in (1, threads):
         numba.set_num_threads(count)
-        results.append(carve(with_noise(temple.scene, 8), temple.scene.bounds.longest / 60))
+        results.append(method.carve(with_noise(temple.scene, 8), lattice_of(temple.scene, 60)))
     one, two = results
     for name in ("slots", "occupied", "visible", "colors", "distance"):
         np.testing.assert_array_equal(getattr(one, name), getattr(two, name))
 
 
 def test_surface_voxels_that_no_pixel_sees_take_the_nearest_measured_colour(temple: BuiltInScene) -> None:
-    hull = fine_visual_hull(temple.scene, temple.scene.bounds.longest / 100)
+    hull = FineVisualHull().carve(temple.scene, lattice_of(temple.scene, 100))
     unseen = hull.surface() & ~hull.visible
     assert unseen.any()
     measured = hull.voxels(hull.visible)
@@ -222,36 +231,45 @@ def test_bricks_that_would_not_fit_are_refused_with_a_size_that_would(
     free = 600 * BYTES_PER_BRICK
     monkeypatch.setattr(psutil, "virtual_memory", lambda: SimpleNamespace(available=free))
     with pytest.raises(VolumeTooLargeError, match=r"voxels of .* would need .* GiB") as caught:
-        fine_visual_hull(temple.scene, side / 300)
+        FineVisualHull().carve(temple.scene, Lattice.enclosing(temple.scene.bounds, voxel_size=side / 300))
     found = re.search(r"a voxel size of (\S+) would fit", str(caught.value))
     assert found
-    assert len(fine_visual_hull(temple.scene, float(found[1])).occupied) <= 600
+    fitting = Lattice.enclosing(temple.scene.bounds, voxel_size=float(found[1]))
+    assert len(FineVisualHull().carve(temple.scene, fitting).occupied) <= 600
 
 
-@pytest.mark.parametrize("carve", [fine_visual_hull, fine_generalized_voxel_coloring])
-def test_an_absurd_lattice_is_refused_before_it_is_allocated(
-    carve: Callable[[Scene, float], SparseVolume], temple: BuiltInScene
-) -> None:
+@pytest.mark.parametrize("method", [FineVisualHull(), FineGeneralizedVoxelColoring()])
+def test_an_absurd_lattice_is_refused_before_it_is_allocated(method: Method, temple: BuiltInScene) -> None:
     with pytest.raises(VolumeTooLargeError, match="would fit"):
-        carve(temple.scene, 1e-8)
+        method.carve(temple.scene, Lattice.enclosing(temple.scene.bounds, voxel_size=1e-8))
+
+
+@pytest.mark.parametrize("method", [FineVisualHull(), FineGeneralizedVoxelColoring()])
+def test_a_part_of_a_volume_is_refused_since_carving_starts_from_a_whole_lattice(
+    method: Method, temple: BuiltInScene
+) -> None:
+    volume = CarvingVolume.full(lattice_of(temple.scene, 10))
+    volume.occupied[0] = False
+    with pytest.raises(ArgumentError, match=r"a full volume, got one with .* empty voxels"):
+        method.carve(temple.scene, volume)
 
 
 @pytest.mark.parametrize("size", [0.0, -1.0, float("nan"), float("inf")])
 def test_a_voxel_size_must_be_positive(size: float, temple: BuiltInScene) -> None:
-    with pytest.raises(ValueError, match="positive voxel size"):
-        fine_visual_hull(temple.scene, size)
+    with pytest.raises(ValueError, match=r"voxel_size to be a number in \(0, inf\)"):
+        Lattice.enclosing(temple.scene.bounds, voxel_size=size)
 
 
 def test_a_hull_without_silhouettes_is_a_clear_error(temple: BuiltInScene) -> None:
     with pytest.raises(SceneError, match="needs silhouettes"):
-        fine_visual_hull(without_silhouettes(temple.scene), 0.01)
+        FineVisualHull().carve(without_silhouettes(temple.scene), lattice_of(temple.scene, 40))
 
 
 def test_silhouettes_with_nothing_in_common_name_the_view_that_excludes_most(temple: BuiltInScene) -> None:
     bad = replace(temple.scene.views[3], silhouette=np.zeros((120, 160), np.bool_))
     scene = replace(temple.scene, views=(*temple.scene.views[:3], bad, *temple.scene.views[4:]))
     with pytest.raises(EmptyReconstructionError, match=rf"{bad.name} alone leaves 0\.0%"):
-        fine_visual_hull(scene, 0.004)
+        FineVisualHull().carve(scene, Lattice.enclosing(scene.bounds, voxel_size=0.004))
 
 
 def test_a_test_that_carves_everything_is_a_clear_error() -> None:
@@ -261,4 +279,4 @@ def test_a_test_that_carves_everything_is_a_clear_error() -> None:
 
     scene = Scene((plain_view(),), Bounds([-1, -1, -1], [1, 1, 1]))
     with pytest.raises(EmptyReconstructionError, match="carved all 1,000 voxels"):
-        fine_generalized_voxel_coloring(scene, 0.2, never)
+        FineGeneralizedVoxelColoring(never).carve(scene, Lattice.enclosing(scene.bounds, voxel_size=0.2))

@@ -22,7 +22,7 @@ from recon3d.rendering.sheets import portrait
 from recon3d.study import trials
 from recon3d.study.variants import expand_variants
 
-SETTINGS = recon3d.Settings(n_voxels=15_000, method="voxel-coloring")
+SETTINGS = recon3d.Settings(n_voxels=15_000, carving=recon3d.VoxelColoring())
 SPACING = 2e-3
 
 
@@ -42,7 +42,8 @@ def runs(monkeypatch: pytest.MonkeyPatch) -> list[object]:
     original = trials.reconstruct
 
     def counted(scene: recon3d.Scene, settings: recon3d.Settings, **rest: object) -> recon3d.Reconstruction:
-        seen.append(settings.test)
+        assert isinstance(settings.carving, recon3d.VoxelColoring)
+        seen.append(settings.carving.test)
         return original(scene, settings, **rest)  # type: ignore[arg-type]
 
     monkeypatch.setattr(trials, "reconstruct", counted)
@@ -136,8 +137,10 @@ def test_a_trial_is_what_the_test_does_alone(temple: recon3d.BuiltInScene, measu
     assert measured.conditions["left_out"] == names[3::4]
     assert measured.conditions["views"] == [name for name in names if name not in names[3::4]]
     used = temple.scene.subset(measured.conditions["views"])
-    for trial, test in zip(measured.trials[::3], (None, recon3d.StandardDeviation(60)), strict=True):
-        alone = recon3d.reconstruct(used, replace(SETTINGS, test=test))
+    for trial, test in zip(
+        measured.trials[::3], (recon3d.FuzzyAdaptiveHysteresis(), recon3d.StandardDeviation(60)), strict=True
+    ):
+        alone = recon3d.reconstruct(used, replace(SETTINGS, carving=recon3d.VoxelColoring(test)))
         assert trial.accepted == alone.carved.volume.n_occupied
         quality = recon3d.measure_quality(alone.mesh, temple.scene.subset(names[3::4]))
         assert trial.median_error == quality.overall.median
@@ -259,8 +262,8 @@ def test_other_inputs_are_another_trial(temple: recon3d.BuiltInScene, runs: list
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"settings": recon3d.Settings(method="visual-hull")}, "visual-hull uses no photo-consistency test"),
-        ({"settings": recon3d.Settings(test=Adaptive())}, "expected settings without a test"),
+        ({"settings": recon3d.Settings(carving=recon3d.VisualHull())}, "visual-hull uses no photo-consistency test"),
+        ({"settings": recon3d.Settings(carving=recon3d.VoxelColoring(Adaptive()))}, "expected a method with its own"),
         ({"leave_out": 1}, "expected to leave out every view of 2 or more"),
         ({"leave_out": ["*"]}, "expected views to be left for the tests"),
         ({"accuracy_percent": 80}, "expected a ground truth for accuracy_percent"),

@@ -48,12 +48,14 @@ def world() -> Scene:
 
 
 def settings_of(method: str) -> Settings:
-    return Settings(n_voxels=2500, method=method)
+    return Settings(n_voxels=2500, carving=METHODS[method]())
 
 
 @cache
-def result(method: str) -> recon3d.Reconstruction:
-    return recon3d.reconstruct(world(), settings_of(method))
+def hull_of(method: str) -> recon3d.CarvedVolume:
+    """What the method leaves, or the one that leaves the same with all voxels stored."""
+    dense = METHODS[method]().dense()
+    return recon3d.reconstruct(world(), Settings(n_voxels=2500, carving=dense)).carved.dense()
 
 
 def some_voxels(hull: recon3d.CarvedVolume, label: Label, count: int = 3) -> NDArray[np.int64]:
@@ -64,7 +66,7 @@ def some_voxels(hull: recon3d.CarvedVolume, label: Label, count: int = 3) -> NDA
 
 
 def explained(method: str, voxel: NDArray[np.int64]) -> Explanation:
-    volume = result(method).carved.volume
+    volume = hull_of(method).volume
     return explain(world(), settings_of(method), at=volume.origin + volume.voxel_size * (voxel + 0.4))
 
 
@@ -88,7 +90,7 @@ def degree_of(pixels: list[set[tuple[int, int]]]) -> Fraction:
 
 @cache
 def literal() -> Result:
-    volume = result("voxel-coloring").carved.volume
+    volume = hull_of("voxel-coloring").volume
     found = sweep_direction(world().centers, volume.bounds.corners)
     assert found is not None
     full = volume.with_occupancy(np.ones(volume.shape, np.bool_))
@@ -97,8 +99,8 @@ def literal() -> Result:
 
 @pytest.mark.parametrize("label", [Label.BACKGROUND, Label.INCONSISTENT, Label.HIDDEN, Label.CONSISTENT])
 def test_voxel_colouring_is_explained_as_the_literal_reference_does_it(label: Label) -> None:
-    volume = result("voxel-coloring").carved.volume
-    for index in some_voxels(result("voxel-coloring").carved, label, 5):
+    volume = hull_of("voxel-coloring").volume
+    for index in some_voxels(hull_of("voxel-coloring"), label, 5):
         explanation = explained("voxel-coloring", index)
         voxel = explanation.voxel
         assert explanation.label == literal().labels[voxel] == label
@@ -131,7 +133,7 @@ def test_voxel_colouring_is_explained_as_the_literal_reference_does_it(label: La
 
 @pytest.mark.parametrize("method", OBSERVED)
 def test_the_pixels_told_give_the_degree_told(method: str) -> None:
-    hull = result(method).carved
+    hull = hull_of(method)
     for label in (Label.INCONSISTENT, Label.CONSISTENT):
         for index in some_voxels(hull, label, 4):
             explanation = explained(method, index)
@@ -146,7 +148,7 @@ def test_the_pixels_told_give_the_degree_told(method: str) -> None:
 
 
 def test_generalised_voxel_colouring_tells_the_pixels_that_see_the_voxel_first() -> None:
-    hull = result("generalized-voxel-coloring").carved
+    hull = hull_of("generalized-voxel-coloring")
     items = brute_force_items(world(), hull.volume, hull.with_interior.occupied)
     for index in some_voxels(hull, Label.CONSISTENT, 5):
         explanation = explained("generalized-voxel-coloring", index)
@@ -157,7 +159,7 @@ def test_generalised_voxel_colouring_tells_the_pixels_that_see_the_voxel_first()
 
 @pytest.mark.parametrize("method", OBSERVED)
 def test_candidates_are_told_through_which_voxels_they_are_connected(method: str) -> None:
-    hull = result(method).carved
+    hull = hull_of(method)
     limits = np.array([[np.nan] * 2, *([float(alternating_harmonic(2 * n + k)) for k in (0, 1)] for n in range(1, 6))])
     low, high = np.moveaxis(limits[hull.n_views], -1, 0)
     between = (hull.degree > low + 1e-6) & (hull.degree < high - 1e-6)
@@ -192,7 +194,7 @@ def test_a_dropped_candidate_tells_how_many_hang_together() -> None:
 
 
 def test_every_outcome_says_what_it_is() -> None:
-    hull = result("voxel-coloring").carved
+    hull = hull_of("voxel-coloring")
     expected = {
         Label.BACKGROUND: "background: carved before any test: outside the silhouettes of view",
         Label.INCONSISTENT: "inconsistent: carved, its degree",
@@ -204,14 +206,14 @@ def test_every_outcome_says_what_it_is() -> None:
         assert explanation.outcome().startswith(text)
         assert text in repr(explanation)
     wide = replace(world(), bounds=Bounds([-3.5, -2.5, -2.5], [2.5, 2.5, 2.5]))
-    settings = Settings(voxel_size=0.5, method="voxel-coloring")
+    settings = Settings(voxel_size=0.5, carving=recon3d.VoxelColoring())
     wide_hull = recon3d.reconstruct(wide, settings).carved
     unseen = wide_hull.volume.origin + 0.5 * (np.argwhere(wide_hull.labels == Label.UNSEEN)[0] + 0.5)
     assert explain(wide, settings, at=unseen).outcome() == "unseen: no image shows it, or a camera stands there"
 
 
 def test_the_lines_count_the_pixels() -> None:
-    explanation = explained("voxel-coloring", some_voxels(result("voxel-coloring").carved, Label.CONSISTENT)[-1])
+    explanation = explained("voxel-coloring", some_voxels(hull_of("voxel-coloring"), Label.CONSISTENT)[-1])
     rows = explanation.summary()
     for view in explanation.views:
         line = str(rows[f"view {view.name}"])
@@ -221,12 +223,12 @@ def test_the_lines_count_the_pixels() -> None:
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_every_method_tells_the_label_and_what_it_cannot_tell(method: str) -> None:
-    hull = result(method).carved
+def test_every_dense_methodtells_the_label_and_what_it_cannot_tell(method: str) -> None:
+    hull = hull_of(method)
     for label in (Label.CONSISTENT, Label.BACKGROUND):
         explanation = explained(method, some_voxels(hull, label, 2)[-1])
         assert explanation.label == label
-        assert ("not known" in explanation.summary()) == (method not in (*OBSERVED, "visual-hull"))
+        assert ("not known" in explanation.summary()) == (method not in (*OBSERVED, "visual-hull", "fine-visual-hull"))
         assert bool(explanation.excluded_by) == (label == Label.BACKGROUND)
         picture = explanation.picture()
         assert picture.dtype == np.uint8
@@ -235,8 +237,8 @@ def test_every_method_tells_the_label_and_what_it_cannot_tell(method: str) -> No
 
 
 @pytest.mark.parametrize("method", ["visual-hull", "generalized-voxel-coloring"])
-def test_silhouettes_exclude_by_the_voxels_centre_where_the_method_does(method: str) -> None:
-    hull = result(method).carved
+def test_silhouettes_exclude_by_the_voxels_centre_where_the_dense_methoddoes(method: str) -> None:
+    hull = hull_of(method)
     for index in some_voxels(hull, Label.BACKGROUND, 6):
         explanation = explained(method, index)
         for view, evidence in zip(world().views, explanation.views, strict=True):
@@ -251,7 +253,7 @@ def test_silhouettes_exclude_by_the_voxels_centre_where_the_method_does(method: 
 def test_a_view_without_silhouette_excludes_nothing() -> None:
     views = world().views
     scene = replace(world(), views=(replace(views[0], silhouette=None), *views[1:]))
-    hull = result("visual-hull").carved
+    hull = hull_of("visual-hull")
     for index in some_voxels(hull, Label.BACKGROUND, 4):
         place = hull.volume.origin + hull.volume.voxel_size * (index + 0.5)
         told = explain(scene, settings_of("visual-hull"), at=place).views
@@ -262,7 +264,7 @@ def test_a_view_without_silhouette_excludes_nothing() -> None:
 
 
 def test_a_pixel_means_the_first_accepted_voxel_on_its_ray() -> None:
-    hull = result("voxel-coloring").carved
+    hull = hull_of("voxel-coloring")
     items = brute_force_items(world(), hull.volume, hull.volume.occupied)
     for row, column in np.argwhere(items[2] >= 0)[::90]:
         clicked = explain(world(), settings_of("voxel-coloring"), pixel=(world().views[2].name, column, row))
@@ -271,7 +273,7 @@ def test_a_pixel_means_the_first_accepted_voxel_on_its_ray() -> None:
 
 
 def test_a_pixel_of_a_hole_means_what_came_nearest_to_being_accepted() -> None:
-    hull = result("voxel-coloring").carved
+    hull = hull_of("voxel-coloring")
     asked = {"degree": 0, "silhouettes": 0}
     view = world().views[1]
     for row in range(0, view.height, 3):
@@ -304,14 +306,14 @@ def test_a_pixel_of_a_hole_means_what_came_nearest_to_being_accepted() -> None:
 
 def test_an_observer_changes_nothing() -> None:
     for method in OBSERVED:
-        hull, watched = result(method).carved, explained(method, np.array([3, 3, 3])).carved
+        hull, watched = hull_of(method), explained(method, np.array([3, 3, 3])).carved
         np.testing.assert_array_equal(hull.labels, watched.labels)
         np.testing.assert_array_equal(hull.degree, watched.degree)
 
 
 def test_the_choice_of_views_of_a_result_is_kept() -> None:
     scene = photographs(ball_mesh(), taken_by=cameras(8, arc=360))
-    done = recon3d.reconstruct(scene, Settings(n_voxels=1000, method="voxel-coloring", max_views=3))
+    done = recon3d.reconstruct(scene, Settings(n_voxels=1000, max_views=3, carving=recon3d.VoxelColoring()))
     explanation = explain(done.scene, done.settings, at=[0.0, 0.0, 0.9])
     assert [view.name for view in explanation.scene.views] == [view.name for view in done.scene.views]
     np.testing.assert_array_equal(explanation.carved.labels, done.carved.labels)
@@ -340,7 +342,7 @@ def test_an_unknown_view_is_named_and_the_known_ones_too() -> None:
 
 
 def test_a_sharp_result_is_explained_with_what_matching_left(temple: BuiltInScene) -> None:
-    settings = Settings(n_voxels=8000, method="visual-hull", quality="dense")
+    settings = Settings(n_voxels=8000, carving=recon3d.VisualHull(), matching=recon3d.PASSES)
     stages: dict[str, dict[str, NDArray[np.generic]]] = {}
     sharp = recon3d.reconstruct(temple.scene, settings, stages=stages)
     carved, hull = stages["carving"]["labels"], sharp.carved
@@ -424,8 +426,9 @@ def test_mistakes_are_one_line(
     saved: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     record = json.loads((saved / "record.json").read_text())
+    opaque = {"name": "voxel-coloring", "options": {"test": {"class": "mine.Test"}}}
     for name, change in (("sourceless", {"scene": {**record["scene"], "source": None}}),
-                         ("testless", {"settings": {**record["settings"], "test": {"class": "mine.Test"}}}),
+                         ("testless", {"settings": {**record["settings"], "carving": opaque}}),
                          ("bare", {"settings": None})):  # fmt: skip
         (saved.parent / name).mkdir()
         (saved.parent / name / "record.json").write_text(json.dumps({**record, **change}))

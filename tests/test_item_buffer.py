@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 from scenes import full_volume, plain_view
 
-from recon3d.carving.generalized import generalized_voxel_coloring
+from recon3d.carving.generalized import GeneralizedVoxelColoring
 from recon3d.carving.item_buffer import ItemBuffer
 from recon3d.scene.bounds import Bounds
 from recon3d.scene.scene import Scene
@@ -23,5 +23,5 @@ def test_rays_that_enter_the_volume_at_an_occupied_voxel_hit_it() -> None:
 
 def test_consistent_voxels_on_the_volumes_own_border_are_kept() -> None:
     scene = Scene((plain_view(),), Bounds([-1, -1, -1], [1, 1, 1]))
-    hull = generalized_voxel_coloring(scene, full_volume((4, 4, 4), 0.5, (-1, -1, -1)))
+    hull = GeneralizedVoxelColoring().carve(scene, full_volume((4, 4, 4), 0.5, (-1, -1, -1)))
     assert hull.volume.occupied[:, :, 0].all()

@@ -10,8 +10,9 @@ from pathlib import Path
 import pytest
 from batches import outcome, patches_of
 
+from recon3d.carving.voxel_coloring import VoxelColoring
 from recon3d.consistency import TESTS, load_test
-from recon3d.consistency.base import Patches, Verdict
+from recon3d.consistency.base import ConsistencyTest, Patches, Verdict
 from recon3d.consistency.hysteresis import Hysteresis
 from recon3d.consistency.minkowski import Minkowski
 from recon3d.consistency.specular import Specular
@@ -131,7 +132,7 @@ def test_the_record_of_a_run_names_a_users_own_test_and_its_options() -> None:
         (Hysteresis(Minkowski("l1", 3.0), None),
          {"class": "Hysteresis", "test": {"class": "Minkowski", "norm": "l1", "threshold": 3.0}, "margin": None}),
     ):  # fmt: skip
-        record = Settings(method="voxel-coloring", test=test).record()["test"]
+        record = Settings(carving=VoxelColoring(test)).record()["carving"]["options"]["test"]
         assert record == expected
         json.dumps(record)
 
@@ -141,25 +142,24 @@ def through_json(settings: Settings, folder: Path) -> Settings:
     return Settings.from_record(record)
 
 
+def recorded(test: ConsistencyTest, folder: Path) -> ConsistencyTest:
+    """A test after its way through a record."""
+    method = through_json(Settings(carving=VoxelColoring(test)), folder).carving
+    assert isinstance(method, VoxelColoring)
+    return method.test
+
+
 @pytest.mark.parametrize("name", TESTS)
 def test_settings_come_back_from_their_record(name: str, tmp_path: Path) -> None:
     for test in (load_test(name), Hysteresis(load_test(name)), Hysteresis(load_test(name), None)):
-        settings = Settings(
-            method="voxel-coloring",
-            test=test,
-            method_options={"connectivity": 6},
-            views=("a*", "b"),
-            voxel_size=0.1,
-            smoothing=0,
-        )
+        settings = Settings(carving=VoxelColoring(test, connectivity=6))
         assert through_json(settings, tmp_path) == settings
-    assert through_json(Settings(), tmp_path) == Settings()
 
 
 @pytest.mark.usefixtures("here")
 def test_parameters_of_tests_come_back_from_their_record(tmp_path: Path) -> None:
     for test in (Minkowski("l1", 3.0), Specular(light=(250.0, 200.0, 100.0)), Hysteresis(Minkowski("linf"), 0.2)):
-        assert through_json(Settings(test=test), tmp_path).test == test
+        assert recorded(test, tmp_path) == test
 
 
 @pytest.mark.usefixtures("here")
@@ -171,8 +171,7 @@ def test_a_users_own_test_comes_back_from_its_record(name: str, options: dict[st
     loaded = load_test(f"users_own_tests:{name}", **options)
     patches = patches_of([[[[1, 2, 3]]]])
     for test in (loaded, Hysteresis(loaded)):
-        again = through_json(Settings(test=test), tmp_path).test
-        assert again is not None
+        again = recorded(test, tmp_path)
         assert again == test
         assert outcome(again(patches)).tolist() == outcome(test(patches)).tolist()
 
@@ -191,6 +190,6 @@ def test_what_a_record_does_not_tell_is_not_made_up() -> None:
             return Minkowski()(patches)
 
     with pytest.raises(DataError, match=r"Opaque was given as an object: its parameters are not known"):
-        Settings.from_record(Settings(test=Opaque()).record())
+        Settings.from_record(Settings(carving=VoxelColoring(Opaque())).record())
     with pytest.raises(ValueError, match="unknown settings colour"):
         Settings.from_record({"colour": 1})

@@ -145,7 +145,7 @@ def test_an_error_that_few_pixels_have_moves_the_mean_and_not_the_median(
 
 
 def test_larger_photographs_are_sampled_at_pixels_as_they_are(temple: recon3d.BuiltInScene) -> None:
-    mesh = recon3d.mesh_volume(recon3d.visual_hull(temple.scene, _volume(temple.scene)).volume)
+    mesh = recon3d.mesh_volume(recon3d.VisualHull().carve(temple.scene, _volume(temple.scene)).volume)
     view, renderer = temple.scene.views[2], recon3d.Renderer(mesh)
     rendering = renderer.render_view(view)
     assert view.silhouette is not None

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from scenes import ball_mesh, box_mesh, cameras, full_volume, photographs, plain_view, with_noise
 
 from recon3d.carving.observations import carve_background
-from recon3d.carving.probabilistic import probabilistic_space_carving
-from recon3d.carving.space_carving import space_carving
+from recon3d.carving.probabilistic import ProbabilisticSpaceCarving
+from recon3d.carving.space_carving import SpaceCarving
 from recon3d.consistency.deviation import StandardDeviation
 from recon3d.datasets.synthetic import BuiltInScene
 from recon3d.errors import EmptyReconstructionError
@@ -102,7 +102,7 @@ def test_the_ball_is_found_near_its_surface() -> None:
     mesh = ball_mesh()
     scene = photographs(mesh, taken_by=ALL_ROUND)
     volume = CarvingVolume.enclosing(scene.bounds, n_voxels=8000)
-    hull = probabilistic_space_carving(scene, volume)
+    hull = ProbabilisticSpaceCarving().carve(scene, volume)
     # A pixel is 0.083 units.
     assert np.median(distance_to_mesh(hull.volume.centers(), mesh)) < 0.083 + volume.voxel_size * np.sqrt(3) / 2
 
@@ -118,8 +118,8 @@ def test_noise_that_makes_space_carving_tear_through_the_object_does_not_here() 
         return sum(int((core.any(axis) & ~left.any(axis)).sum()) for axis in range(3))
 
     # The test allows for the noise and a little more, yet some sets of pixels exceed it, and bare what is behind.
-    hard = space_carving(scene, volume, StandardDeviation(12.5))
-    soft = probabilistic_space_carving(scene, volume, sigma0=10.0)
+    hard = SpaceCarving(StandardDeviation(12.5)).carve(scene, volume)
+    soft = ProbabilisticSpaceCarving(sigma0=10.0).carve(scene, volume)
     assert hard.volume.n_occupied > 500
     assert lines_carved_through(hard) > 10
     assert lines_carved_through(soft) == 0
@@ -128,7 +128,7 @@ def test_noise_that_makes_space_carving_tear_through_the_object_does_not_here() 
 
 def test_the_result_lies_inside_the_visual_hull_with_probabilities_as_degrees(temple: BuiltInScene) -> None:
     volume = CarvingVolume.enclosing(temple.scene.bounds, n_voxels=20_000)
-    hull = probabilistic_space_carving(temple.scene, volume, threshold=0.6)
+    hull = ProbabilisticSpaceCarving(threshold=0.6).carve(temple.scene, volume)
     occupied = volume.occupied.copy()
     carve_background(temple.scene.packed, occupied, volume)
     assert not (hull.with_interior.occupied & ~occupied).any()
@@ -145,24 +145,26 @@ def test_a_single_view_leaves_every_voxel_at_the_prior() -> None:
     single = replace(scene, views=scene.views[:1])
     volume = CarvingVolume.enclosing(scene.bounds, n_voxels=4000)
     with pytest.raises(EmptyReconstructionError, match=r"all voxels were carved .*0 consistent"):
-        probabilistic_space_carving(single, volume)
-    hull = probabilistic_space_carving(single, volume, threshold=0.29)
+        ProbabilisticSpaceCarving().carve(single, volume)
+    hull = ProbabilisticSpaceCarving(threshold=0.29).carve(single, volume)
     np.testing.assert_allclose(hull.degree[hull.volume.occupied], 0.3, atol=1e-5)
 
 
 def test_no_silhouettes_and_a_camera_inside_the_volume_still_run() -> None:
     scene = photographs(ball_mesh(), taken_by=ALL_ROUND)
     volume = CarvingVolume.enclosing(scene.bounds, n_voxels=4000)
-    assert probabilistic_space_carving(without_silhouettes(scene), volume).volume.n_occupied
+    assert ProbabilisticSpaceCarving().carve(without_silhouettes(scene), volume).volume.n_occupied
     inside = Scene((plain_view(), plain_view(name="other")), Bounds([-2, -2, -6], [2, 2, 2]))
-    hull = probabilistic_space_carving(inside, CarvingVolume.enclosing(inside.bounds, voxel_size=0.25))
+    hull = ProbabilisticSpaceCarving().carve(inside, CarvingVolume.enclosing(inside.bounds, voxel_size=0.25))
     assert (hull.volume.centers()[:, 2] > -5).all()
 
 
 def test_an_empty_volume_is_an_error() -> None:
     volume = full_volume((3, 3, 3), 0.1)
     with pytest.raises(EmptyReconstructionError, match="all voxels were carved"):
-        probabilistic_space_carving(photographs(ball_mesh()), volume.with_occupancy(np.zeros((3, 3, 3), np.bool_)))
+        ProbabilisticSpaceCarving().carve(
+            photographs(ball_mesh()), volume.with_occupancy(np.zeros((3, 3, 3), np.bool_))
+        )
 
 
 def test_one_thread_gives_what_two_give(temple: BuiltInScene) -> None:
@@ -171,7 +173,7 @@ def test_one_thread_gives_what_two_give(temple: BuiltInScene) -> None:
     before = numba.get_num_threads()
     for threads in (1, min(2, numba.config.NUMBA_NUM_THREADS)):
         numba.set_num_threads(threads)
-        hulls.append(probabilistic_space_carving(temple.scene, volume))
+        hulls.append(ProbabilisticSpaceCarving().carve(temple.scene, volume))
     numba.set_num_threads(before)
     np.testing.assert_array_equal(hulls[0].labels, hulls[1].labels)
     np.testing.assert_array_equal(hulls[0].degree, hulls[1].degree)
@@ -190,11 +192,11 @@ def test_one_thread_gives_what_two_give(temple: BuiltInScene) -> None:
 )
 def test_options_out_of_range_are_refused(options: dict[str, float], message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        probabilistic_space_carving(photographs(ball_mesh()), full_volume((2, 2, 2)), **options)  # type: ignore[arg-type]
+        ProbabilisticSpaceCarving(**options).carve(photographs(ball_mesh()), full_volume((2, 2, 2)))  # type: ignore[arg-type]
 
 
 def test_progress_counts_the_rounds(temple: BuiltInScene) -> None:
     calls: list[tuple[int, int]] = []
     volume = CarvingVolume.enclosing(temple.scene.bounds, n_voxels=2000)
-    probabilistic_space_carving(temple.scene, volume, rounds=3, progress=lambda n, of: calls.append((n, of)))
+    ProbabilisticSpaceCarving(rounds=3).carve(temple.scene, volume, progress=lambda n, of: calls.append((n, of)))
     assert calls == [(1, 3), (2, 3), (3, 3)]

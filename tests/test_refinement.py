@@ -44,7 +44,7 @@ def cloud_of(points: o3d.t.geometry.PointCloud) -> tuple[NDArray[np.float64], ND
 
 
 def visual_hull(scene: Scene, n_voxels: int = 12_000) -> CarvedVolume:
-    return recon3d.visual_hull(scene, CarvingVolume.enclosing(scene.bounds, n_voxels=n_voxels))
+    return recon3d.VisualHull().carve(scene, CarvingVolume.enclosing(scene.bounds, n_voxels=n_voxels))
 
 
 def hull_around(scene: Scene, distance: Callable[[NDArray[np.float64]], NDArray[np.float64]]) -> CarvedVolume:

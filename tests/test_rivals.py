@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 from batches import outcome, patches_of, random_batch
 from numpy.typing import ArrayLike
+from recon3d.carving.coarse_to_fine import FineGeneralizedVoxelColoring
 from scipy.stats import chi2, f
 
-from recon3d.carving.coarse_to_fine import fine_generalized_voxel_coloring
-from recon3d.carving.generalized import generalized_voxel_coloring
-from recon3d.carving.space_carving import space_carving
-from recon3d.carving.voxel_coloring import voxel_coloring
+from recon3d.carving.generalized import GeneralizedVoxelColoring
+from recon3d.carving.method import JudgingMethod
+from recon3d.carving.space_carving import SpaceCarving
+from recon3d.carving.voxel_coloring import VoxelColoring
 from recon3d.consistency import TESTS
 from recon3d.consistency.base import ConsistencyTest, Patches, verdict_of
 from recon3d.consistency.caching import ColorCaching
@@ -29,7 +30,6 @@ from recon3d.consistency.ratio import FTest, LikelihoodRatio, OutlierRejection
 from recon3d.consistency.specular import Specular
 from recon3d.datasets.synthetic import BuiltInScene
 from recon3d.scene.silhouettes import without_silhouettes
-from recon3d.volume.carved import CarvedVolume
 from recon3d.volume.dense import CarvingVolume
 
 
@@ -239,17 +239,17 @@ def test_senseless_options_are_refused(kind: Callable[..., ConsistencyTest], opt
         kind(**options)
 
 
-@pytest.mark.parametrize("method", [voxel_coloring, generalized_voxel_coloring])
+@pytest.mark.parametrize("method", [VoxelColoring, GeneralizedVoxelColoring])
 @pytest.mark.parametrize("name", TESTS)
 def test_every_test_carves_some_of_the_temple_and_keeps_some(
-    name: str, method: Callable[..., CarvedVolume], temple: BuiltInScene
+    name: str, method: type[JudgingMethod], temple: BuiltInScene
 ) -> None:
     # Silhouettes would leave some defaults, made for larger photographs, little to carve.
     scene = without_silhouettes(temple.scene)
-    if method is voxel_coloring:
+    if method.one_sided:
         scene = scene.subset([view.name for view in scene.views[:3]])
     volume = CarvingVolume.enclosing(scene.bounds, n_voxels=20_000)
-    counts = method(scene, volume, TESTS[name]()).counts()
+    counts = method(TESTS[name]()).carve(scene, volume).counts()
     assert counts["inconsistent"] > 500
     assert counts["consistent"] > 500
 
@@ -257,12 +257,12 @@ def test_every_test_carves_some_of_the_temple_and_keeps_some(
 @pytest.mark.parametrize("test", [ColorCaching(), Correlation()])
 def test_bricks_hand_a_test_the_same_directions_and_windows(test: ConsistencyTest, temple: BuiltInScene) -> None:
     volume = CarvingVolume.enclosing(temple.scene.bounds, n_voxels=20_000)
-    dense = generalized_voxel_coloring(temple.scene, volume, test)
-    sparse = fine_generalized_voxel_coloring(temple.scene, volume.voxel_size, test).dense()
-    np.testing.assert_array_equal(sparse.occupied, dense.with_interior.occupied)
+    dense = GeneralizedVoxelColoring(test).carve(temple.scene, volume)
+    sparse = FineGeneralizedVoxelColoring(test).carve(temple.scene, volume).dense()
+    np.testing.assert_array_equal(sparse.with_interior.occupied, dense.with_interior.occupied)
 
 
 def test_space_carving_fills_what_a_test_asks_for(temple: BuiltInScene) -> None:
     volume = CarvingVolume.enclosing(temple.scene.bounds, n_voxels=4000)
-    hull = space_carving(temple.scene, volume, Hysteresis(Correlation(0.0)), max_rounds=3)
+    hull = SpaceCarving(Hysteresis(Correlation(0.0)), max_rounds=3).carve(temple.scene, volume)
     assert hull.volume.n_occupied > 50

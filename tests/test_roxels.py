@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scenes import ball_mesh, box_mesh, cameras, full_volume, photographs, plain_view
 
 from recon3d.carving.observations import carve_background
-from recon3d.carving.roxels import roxels
+from recon3d.carving.roxels import Roxels
 from recon3d.datasets.synthetic import BuiltInScene, Camera, photograph
 from recon3d.errors import EmptyReconstructionError
 from recon3d.evaluation.distances import distance_to_mesh
@@ -60,7 +60,7 @@ def opacity_across(hull: CarvedVolume, low: float, high: float) -> float:
 def test_a_half_transparent_pane_ends_between_an_absent_and_an_opaque_one() -> None:
     scenes = {opacity: wall_behind_a_pane(opacity) for opacity in (0.0, 0.25, 1.0)}
     volume = CarvingVolume.enclosing(scenes[0.0].bounds, voxel_size=0.1)
-    hulls = {opacity: roxels(scene, volume, sigma0=15.0, rounds=20) for opacity, scene in scenes.items()}
+    hulls = {opacity: Roxels(sigma0=15.0, rounds=20).carve(scene, volume) for opacity, scene in scenes.items()}
     absent, half, opaque = (opacity_across(hull, 0.4, 1.1) for hull in hulls.values())
     assert absent < 0.2
     assert 0.3 < half < 0.7
@@ -75,7 +75,7 @@ def test_the_ball_is_found_near_its_surface_in_its_colours() -> None:
     mesh = ball_mesh()
     scene = photographs(mesh, taken_by=ALL_ROUND)
     volume = CarvingVolume.enclosing(scene.bounds, n_voxels=8000)
-    hull = roxels(scene, volume)
+    hull = Roxels().carve(scene, volume)
     surface = hull.with_interior.surface()
     # A pixel is 0.083 units.
     assert np.median(distance_to_mesh(volume.centers(surface), mesh)) < 0.083 + volume.voxel_size * np.sqrt(3) / 2
@@ -86,7 +86,7 @@ def test_the_ball_is_found_near_its_surface_in_its_colours() -> None:
 
 def test_the_result_lies_inside_the_visual_hull_with_opacities_as_degrees(temple: BuiltInScene) -> None:
     volume = CarvingVolume.enclosing(temple.scene.bounds, n_voxels=20_000)
-    hull = roxels(temple.scene, volume, threshold=0.6, rounds=6)
+    hull = Roxels(threshold=0.6, rounds=6).carve(temple.scene, volume)
     occupied = volume.occupied.copy()
     carve_background(temple.scene.packed, occupied, volume)
     assert not (hull.with_interior.occupied & ~occupied).any()
@@ -100,7 +100,7 @@ def test_the_result_lies_inside_the_visual_hull_with_opacities_as_degrees(temple
 def test_fewer_voxels_pass_a_higher_threshold() -> None:
     scene = photographs(ball_mesh(), taken_by=ALL_ROUND)
     volume = CarvingVolume.enclosing(scene.bounds, n_voxels=4000)
-    low, high = (roxels(scene, volume, threshold=threshold) for threshold in (0.3, 0.8))
+    low, high = (Roxels(threshold=threshold).carve(scene, volume) for threshold in (0.3, 0.8))
     assert low.volume.n_occupied > high.volume.n_occupied
     assert not (high.volume.occupied & ~low.volume.occupied).any()
 
@@ -109,18 +109,18 @@ def test_what_no_voxel_is_opaque_enough_for_is_an_error() -> None:
     scene = photographs(ball_mesh(), taken_by=ALL_ROUND)
     volume = CarvingVolume.enclosing(scene.bounds, n_voxels=2000)
     with pytest.raises(EmptyReconstructionError, match=r"all voxels were carved .*0 consistent"):
-        roxels(scene, volume, threshold=1.0, rounds=1)
+        Roxels(threshold=1.0, rounds=1).carve(scene, volume)
     with pytest.raises(EmptyReconstructionError, match="all voxels were carved"):
-        roxels(scene, volume.with_occupancy(np.zeros(volume.shape, np.bool_)))
+        Roxels().carve(scene, volume.with_occupancy(np.zeros(volume.shape, np.bool_)))
 
 
 def test_a_single_view_no_silhouettes_and_a_camera_inside_still_run() -> None:
     scene = photographs(ball_mesh(), taken_by=ALL_ROUND)
     volume = CarvingVolume.enclosing(scene.bounds, n_voxels=4000)
-    assert roxels(without_silhouettes(scene), volume).volume.n_occupied
-    assert roxels(replace(scene, views=scene.views[:1]), volume).n_views.max() == 1
+    assert Roxels().carve(without_silhouettes(scene), volume).volume.n_occupied
+    assert Roxels().carve(replace(scene, views=scene.views[:1]), volume).n_views.max() == 1
     inside = Scene((plain_view(),), Bounds([-2, -2, -6], [2, 2, 2]))
-    hull = roxels(inside, CarvingVolume.enclosing(inside.bounds, voxel_size=0.25), threshold=0.05)
+    hull = Roxels(threshold=0.05).carve(inside, CarvingVolume.enclosing(inside.bounds, voxel_size=0.25))
     assert (hull.volume.centers()[:, 2] > -5).all()
 
 
@@ -130,7 +130,7 @@ def test_one_thread_gives_what_two_give(temple: BuiltInScene) -> None:
     before = numba.get_num_threads()
     for threads in (1, min(2, numba.config.NUMBA_NUM_THREADS)):
         numba.set_num_threads(threads)
-        hulls.append(roxels(temple.scene, volume, rounds=4, threshold=0.3))
+        hulls.append(Roxels(rounds=4, threshold=0.3).carve(temple.scene, volume))
     numba.set_num_threads(before)
     np.testing.assert_array_equal(hulls[0].labels, hulls[1].labels)
     np.testing.assert_array_equal(hulls[0].degree, hulls[1].degree)
@@ -148,12 +148,12 @@ def test_one_thread_gives_what_two_give(temple: BuiltInScene) -> None:
 )
 def test_options_out_of_range_are_refused(options: dict[str, float], message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        roxels(photographs(ball_mesh()), full_volume((2, 2, 2)), **options)  # type: ignore[arg-type]
+        Roxels(**options).carve(photographs(ball_mesh()), full_volume((2, 2, 2)))  # type: ignore[arg-type]
 
 
 def test_progress_counts_the_rounds() -> None:
     scene = photographs(ball_mesh())
     calls: list[tuple[int, int]] = []
     volume = CarvingVolume.enclosing(scene.bounds, n_voxels=1000)
-    roxels(scene, volume, rounds=5, threshold=0.1, progress=lambda n, of: calls.append((n, of)))
+    Roxels(rounds=5, threshold=0.1).carve(scene, volume, progress=lambda n, of: calls.append((n, of)))
     assert calls == [(n, 5) for n in range(1, 6)]

@@ -56,7 +56,7 @@ def test_every_parameter_of_the_sweep_is_one_of_its_test(monkeypatch: pytest.Mon
 
 def test_the_f_score_falls_from_all_to_none(temple: BuiltInScene, monkeypatch: pytest.MonkeyPatch) -> None:
     tune = script("tune_tests", monkeypatch)
-    result = recon3d.reconstruct(temple.scene, recon3d.Settings(method="voxel-coloring", n_voxels=20_000))
+    result = recon3d.reconstruct(temple.scene, recon3d.Settings(n_voxels=20_000, carving=recon3d.VoxelColoring()))
     monkeypatch.setattr("recon3d.reconstruct", lambda *_: result)
     scores = [
         tune.Measured(temple.scene, TriangleMesh(result.mesh).translate((shift, 0, 0))).f_score(None)

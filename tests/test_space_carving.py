@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from scenes import ORIGIN, ball_mesh, box_mesh, cameras, full_volume, photographs, plain_view, two_planes_mesh
 
 from recon3d.carving.observations import carve_background
-from recon3d.carving.space_carving import space_carving
-from recon3d.carving.voxel_coloring import voxel_coloring
+from recon3d.carving.space_carving import SpaceCarving
+from recon3d.carving.voxel_coloring import VoxelColoring
 from recon3d.consistency.base import Patches, Verdict
 from recon3d.consistency.deviation import StandardDeviation
 from recon3d.consistency.fuzzy import FuzzyAdaptiveHysteresis
@@ -74,8 +74,8 @@ def test_cameras_all_around_that_voxel_colouring_refuses_are_welcome() -> None:
     scene = photographs(mesh, taken_by=AT_EYE_LEVEL)
     volume = CarvingVolume.enclosing(scene.bounds, n_voxels=8000)
     with pytest.raises(VisibilityError):
-        voxel_coloring(scene, volume)
-    hull = space_carving(scene, volume)
+        VoxelColoring().carve(scene, volume)
+    hull = SpaceCarving().carve(scene, volume)
     distance = distance_to_mesh(hull.volume.centers(), mesh)
     # A pixel is 0.083 units; the poles are seen by nobody from above.
     assert np.median(distance) < 0.083 + volume.voxel_size * np.sqrt(3) / 2
@@ -83,7 +83,7 @@ def test_cameras_all_around_that_voxel_colouring_refuses_are_welcome() -> None:
 
 def test_the_temple_is_found_closer_than_its_visual_hull(temple: BuiltInScene) -> None:
     volume = CarvingVolume.enclosing(temple.scene.bounds, n_voxels=100_000)
-    hull = space_carving(temple.scene, volume)
+    hull = SpaceCarving().carve(temple.scene, volume)
     outline = volume.with_occupancy(visual_hull(temple.scene, volume))
     carved, silhouettes = (
         distance_to_mesh(shape.centers(shape.surface()), temple.ground_truth).mean() for shape in (hull.volume, outline)
@@ -94,7 +94,7 @@ def test_the_temple_is_found_closer_than_its_visual_hull(temple: BuiltInScene) -
 @pytest.mark.parametrize("test", [FuzzyAdaptiveHysteresis(), StandardDeviation(15.0)])
 def test_the_result_lies_inside_the_visual_hull(temple: BuiltInScene, test: StandardDeviation) -> None:
     volume = CarvingVolume.enclosing(temple.scene.bounds, n_voxels=20_000)
-    hull = space_carving(temple.scene, volume, test)
+    hull = SpaceCarving(test).carve(temple.scene, volume)
     assert not (hull.with_interior.occupied & ~visual_hull(temple.scene, volume)).any()
 
 
@@ -102,7 +102,7 @@ def test_the_result_lies_inside_the_visual_hull(temple: BuiltInScene, test: Stan
 def test_the_photo_hull_holds_the_object_when_the_test_is_monotone(mesh: object) -> None:
     scene = photographs(mesh, taken_by=ALL_ROUND, supersampling=1)  # type: ignore[arg-type]
     volume = CarvingVolume.enclosing(scene.bounds, n_voxels=8000)
-    hull = space_carving(scene, volume, SmallRange(120.0))
+    hull = SpaceCarving(SmallRange(120.0)).carve(scene, volume)
     points = np.asarray(mesh.sample_points_uniformly(20000).points)  # type: ignore[attr-defined]
     inside = np.unique(np.floor((points - volume.origin) / volume.voxel_size).astype(int), axis=0)
     seen = inside[visual_hull(scene, volume)[tuple(inside.T)]]
@@ -113,7 +113,7 @@ def test_the_photo_hull_holds_the_object_when_the_test_is_monotone(mesh: object)
 def test_a_test_that_accepts_everything_leaves_the_visual_hull() -> None:
     scene = photographs(ball_mesh(), taken_by=ALL_ROUND)
     volume = CarvingVolume.enclosing(scene.bounds, n_voxels=4000)
-    hull = space_carving(scene, volume, AcceptEverything())
+    hull = SpaceCarving(AcceptEverything()).carve(scene, volume)
     np.testing.assert_array_equal(hull.with_interior.occupied, visual_hull(scene, volume))
     assert not (hull.volume.occupied & ~hull.with_interior.surface()).any()
 
@@ -121,7 +121,7 @@ def test_a_test_that_accepts_everything_leaves_the_visual_hull() -> None:
 def test_what_is_left_is_consistent_on_all_that_shows_it() -> None:
     scene = photographs(two_planes_mesh(), taken_by=ALL_ROUND)
     volume = CarvingVolume.enclosing(scene.bounds, n_voxels=8000)
-    hull = space_carving(scene, volume, StandardDeviation(12.0))
+    hull = SpaceCarving(StandardDeviation(12.0)).carve(scene, volume)
     assert (hull.degree[hull.volume.occupied] >= 1 - 12 / 127.5 - 1e-6).all()
     assert (hull.degree[hull.labels == Label.INCONSISTENT] < 1 - 12 / 127.5 + 1e-6).all()
 
@@ -130,22 +130,22 @@ def test_voxels_are_judged_on_views_from_opposite_sweeps_together() -> None:
     # Cameras on either side of a thin plate meet its rim in opposite sweeps.
     scene = photographs(box_mesh(1.5, 0.2, 1.4), taken_by=AT_EYE_LEVEL)
     volume = CarvingVolume.enclosing(scene.bounds, voxel_size=0.2)
-    hull = space_carving(scene, volume, AcceptEverything())
+    hull = SpaceCarving(AcceptEverything()).carve(scene, volume)
     assert hull.n_views.max() > len(scene.views) / 2
 
 
 def test_a_second_carving_of_the_result_changes_nothing() -> None:
     scene = photographs(two_planes_mesh(), taken_by=ALL_ROUND)
     volume = CarvingVolume.enclosing(scene.bounds, n_voxels=4000)
-    once = space_carving(scene, volume, SmallRange(40.0))
-    twice = space_carving(scene, volume.with_occupancy(once.with_interior.occupied), SmallRange(40.0))
+    once = SpaceCarving(SmallRange(40.0)).carve(scene, volume)
+    twice = SpaceCarving(SmallRange(40.0)).carve(scene, volume.with_occupancy(once.with_interior.occupied))
     np.testing.assert_array_equal(twice.volume.occupied, once.volume.occupied)
 
 
 def test_fewer_rounds_leave_more_voxels() -> None:
     scene = photographs(two_planes_mesh(), taken_by=ALL_ROUND)
     volume = CarvingVolume.enclosing(scene.bounds, n_voxels=8000)
-    one, all_of_them = (space_carving(scene, volume, SmallRange(30.0), max_rounds=n) for n in (1, 50))
+    one, all_of_them = (SpaceCarving(SmallRange(30.0), max_rounds=n).carve(scene, volume) for n in (1, 50))
     assert one.with_interior.n_occupied >= all_of_them.with_interior.n_occupied
     assert not (all_of_them.with_interior.occupied & ~one.with_interior.occupied).any()
 
@@ -153,28 +153,28 @@ def test_fewer_rounds_leave_more_voxels() -> None:
 def test_candidates_that_touch_nothing_certain_are_carved() -> None:
     scene = photographs(ball_mesh(), taken_by=ALL_ROUND)
     with pytest.raises(EmptyReconstructionError, match=r"all voxels were carved .*inconsistent.*0 consistent"):
-        space_carving(scene, CarvingVolume.enclosing(scene.bounds, n_voxels=1000), CandidatesOnly())
+        SpaceCarving(CandidatesOnly()).carve(scene, CarvingVolume.enclosing(scene.bounds, n_voxels=1000))
 
 
 def test_a_test_that_accepts_nothing_is_an_error_with_the_counts() -> None:
     scene = photographs(ball_mesh(), taken_by=ALL_ROUND)
     with pytest.raises(EmptyReconstructionError, match=r"all voxels were carved .*0 hidden, 0 consistent"):
-        space_carving(scene, CarvingVolume.enclosing(scene.bounds, n_voxels=1000), AcceptNothing())
+        SpaceCarving(AcceptNothing()).carve(scene, CarvingVolume.enclosing(scene.bounds, n_voxels=1000))
 
 
 def test_an_empty_volume_is_an_error() -> None:
     scene = photographs(ball_mesh(), taken_by=ALL_ROUND)
     volume = full_volume((3, 3, 3), 0.1)
     with pytest.raises(EmptyReconstructionError, match="all voxels were carved"):
-        space_carving(scene, volume.with_occupancy(np.zeros((3, 3, 3), np.bool_)))
+        SpaceCarving().carve(scene, volume.with_occupancy(np.zeros((3, 3, 3), np.bool_)))
 
 
 def test_no_silhouettes_and_a_single_view_still_run() -> None:
     scene = photographs(ball_mesh(), taken_by=ALL_ROUND)
     volume = CarvingVolume.enclosing(scene.bounds, n_voxels=4000)
-    assert space_carving(without_silhouettes(scene), volume).volume.n_occupied
+    assert SpaceCarving().carve(without_silhouettes(scene), volume).volume.n_occupied
     single = replace(scene, views=scene.views[:1])
-    hull = space_carving(single, volume)
+    hull = SpaceCarving().carve(single, volume)
     assert hull.volume.n_occupied
     assert hull.n_views.max() == 1
 
@@ -183,7 +183,7 @@ def test_a_camera_inside_the_volume_sees_the_box_before_it() -> None:
     # The camera at (0, 0, -5) looks along +z; the volume begins behind it.
     scene = Scene((plain_view(),), Bounds([-2, -2, -6], [2, 2, 2]))
     volume = CarvingVolume.enclosing(scene.bounds, voxel_size=0.25)
-    hull = space_carving(scene, volume)
+    hull = SpaceCarving().carve(scene, volume)
     assert hull.volume.n_occupied
     centers = hull.volume.centers()
     assert (centers[:, 2] > -5).all()
@@ -197,7 +197,7 @@ def test_one_thread_gives_what_two_give(temple: BuiltInScene) -> None:
     before = numba.get_num_threads()
     for threads in (1, min(2, numba.config.NUMBA_NUM_THREADS)):
         numba.set_num_threads(threads)
-        hulls.append(space_carving(temple.scene, volume))
+        hulls.append(SpaceCarving().carve(temple.scene, volume))
     numba.set_num_threads(before)
     np.testing.assert_array_equal(hulls[0].labels, hulls[1].labels)
     np.testing.assert_array_equal(hulls[0].degree, hulls[1].degree)
@@ -205,7 +205,7 @@ def test_one_thread_gives_what_two_give(temple: BuiltInScene) -> None:
 
 
 def test_labels_degree_and_views_are_consistent_with_each_other(temple: BuiltInScene) -> None:
-    hull = space_carving(temple.scene, CarvingVolume.enclosing(temple.scene.bounds, n_voxels=8000))
+    hull = SpaceCarving().carve(temple.scene, CarvingVolume.enclosing(temple.scene.bounds, n_voxels=8000))
     judged = (hull.labels == Label.CONSISTENT) | (hull.labels == Label.INCONSISTENT)
     np.testing.assert_array_equal(np.isfinite(hull.degree), judged)
     np.testing.assert_array_equal(hull.n_views > 0, judged)
@@ -217,7 +217,7 @@ def test_labels_degree_and_views_are_consistent_with_each_other(temple: BuiltInS
 def test_progress_ends_at_the_total_and_never_goes_back(temple: BuiltInScene) -> None:
     calls: list[tuple[int, int]] = []
     volume = CarvingVolume.enclosing(temple.scene.bounds, n_voxels=2000)
-    space_carving(temple.scene, volume, progress=lambda n, of: calls.append((n, of)), max_rounds=9)
+    SpaceCarving(max_rounds=9).carve(temple.scene, volume, progress=lambda n, of: calls.append((n, of)))
     assert {total for _, total in calls} == {54}
     assert [n for n, _ in calls] == sorted(n for n, _ in calls)
     assert calls[-1] == (54, 54)
@@ -226,7 +226,7 @@ def test_progress_ends_at_the_total_and_never_goes_back(temple: BuiltInScene) ->
 def test_no_rounds_are_refused() -> None:
     scene = photographs(ball_mesh())
     with pytest.raises(ValueError, match="expected max_rounds of at least 1, got 0"):
-        space_carving(scene, full_volume((2, 2, 2)), max_rounds=0)
+        SpaceCarving(max_rounds=0).carve(scene, full_volume((2, 2, 2)))
 
 
 def test_a_test_that_judges_another_number_of_voxels_is_refused() -> None:
@@ -235,4 +235,4 @@ def test_a_test_that_judges_another_number_of_voxels_is_refused() -> None:
 
     scene = photographs(ball_mesh())
     with pytest.raises(ValueError, match="judged 1 voxels of"):
-        space_carving(scene, CarvingVolume.enclosing(scene.bounds, n_voxels=500), too_few)
+        SpaceCarving(too_few).carve(scene, CarvingVolume.enclosing(scene.bounds, n_voxels=500))

@@ -9,20 +9,23 @@ import pytest
 from numpy.typing import NDArray
 from scenes import (
     edge_counts,
+    lattice_of,
     mask_of,
     signed_volume,
 )
 from scipy.spatial import cKDTree
 
-from recon3d.carving.coarse_to_fine import fine_generalized_voxel_coloring, fine_visual_hull
-from recon3d.carving.generalized import generalized_voxel_coloring
-from recon3d.carving.visual_hull import visual_hull
+from recon3d.carving.fine_generalized import FineGeneralizedVoxelColoring
+from recon3d.carving.fine_visual_hull import FineVisualHull
+from recon3d.carving.generalized import GeneralizedVoxelColoring
+from recon3d.carving.visual_hull import VisualHull
 from recon3d.consistency.deviation import StandardDeviation
 from recon3d.datasets.synthetic import BuiltInScene
 from recon3d.errors import EmptyReconstructionError
 from recon3d.kernels.bricks import BRICK, EMPTY, SOLID
 from recon3d.surface.extraction import mesh_sparse, mesh_volume
 from recon3d.volume.dense import CarvingVolume
+from recon3d.volume.lattice import Lattice
 from recon3d.volume.sparse import SparseVolume, brick_grid
 
 
@@ -41,13 +44,14 @@ def stored_throughout(occupied: NDArray[np.bool_], voxel_size: float = 0.5) -> S
 
 
 def test_the_voxel_grid_holds_the_surface_with_its_lattice_and_colours(temple: BuiltInScene) -> None:
-    hull = fine_visual_hull(temple.scene, temple.scene.bounds.longest / 50)
+    hull = FineVisualHull().carve(temple.scene, lattice_of(temple.scene, 50))
     back = CarvingVolume.from_voxel_grid(hull.to_voxel_grid(), shape=hull.shape)
     np.testing.assert_array_equal(back.origin, hull.origin)
     assert back.voxel_size == hull.voxel_size
     surface = mask_of(hull, hull.voxels())
     np.testing.assert_array_equal(back.occupied, surface)
-    np.testing.assert_array_equal(back.colors[surface], hull.dense().colors[surface])
+    visible = hull.dense().volume
+    np.testing.assert_array_equal(back.colors[visible.occupied], visible.colors[visible.occupied])
     np.testing.assert_array_equal(back.centers(), hull.centers()[np.lexsort(hull.voxels().T[::-1])])
 
 
@@ -58,10 +62,15 @@ def test_the_sparse_mesh_is_the_dense_one(carve: bool, known: bool, smoothing: i
     size = temple.scene.bounds.longest / 90
     volume = CarvingVolume.enclosing(temple.scene.bounds, voxel_size=size)
     if carve:
-        sparse = fine_generalized_voxel_coloring(temple.scene, size, StandardDeviation(25))
-        dense = generalized_voxel_coloring(temple.scene, volume, StandardDeviation(25))
+        sparse = FineGeneralizedVoxelColoring(StandardDeviation(25)).carve(
+            temple.scene, Lattice.enclosing(temple.scene.bounds, voxel_size=size)
+        )
+        dense = GeneralizedVoxelColoring(StandardDeviation(25)).carve(temple.scene, volume)
     else:
-        sparse, dense = fine_visual_hull(temple.scene, size), visual_hull(temple.scene, volume)
+        sparse, dense = (
+            FineVisualHull().carve(temple.scene, Lattice.enclosing(temple.scene.bounds, voxel_size=size)),
+            VisualHull().carve(temple.scene, volume),
+        )
     if not known:
         sparse = replace(sparse, distance=None)
     mesh = mesh_sparse(sparse, smoothing=smoothing)
@@ -109,14 +118,17 @@ def test_boxes_reach_over_the_lattice_into_empty_space() -> None:
     assert distance is None
     np.testing.assert_array_equal(box[3:12, :15, 1:9], occupied[:, 2:])
     assert box.sum() == occupied[:, 2:].sum()
-    np.testing.assert_array_equal(volume.dense().occupied, occupied)
+    np.testing.assert_array_equal(volume.dense().with_interior.occupied, occupied)
     np.testing.assert_array_equal(np.sort(volume.centers(volume.occupied), 0)[0], [1.25, 2.25, 3.25])
 
 
 def test_sparse_volumes_show_themselves(temple: BuiltInScene) -> None:
-    hull = fine_visual_hull(temple.scene, temple.scene.bounds.longest / 40)
+    hull = FineVisualHull().carve(temple.scene, lattice_of(temple.scene, 40))
     assert "40 = " in str(hull.summary()["voxels"])
-    picture, dense = hull.picture(), visual_hull(temple.scene, hull.dense().with_occupancy(np.ones(hull.shape, bool)))
+    picture, dense = (
+        hull.picture(),
+        VisualHull().carve(temple.scene, hull.lattice),
+    )
     assert picture.shape == dense.volume.picture().shape
     # The same outlines; the dense picture leaves out what no pixel sees.
     white = (picture == 255).all(axis=2)
@@ -128,7 +140,7 @@ def test_sparse_volumes_show_themselves(temple: BuiltInScene) -> None:
     ("change", "message"),
     [
         ({"origin": np.zeros(2)}, "origin of three finite numbers"),
-        ({"voxel_size": 0.0}, "positive voxel size"),
+        ({"voxel_size": 0.0}, "expected voxel_size"),
         ({"shape": (0, 8, 8)}, "three positive numbers"),
         ({"shape": (17, 8, 8)}, "int32 slots"),
         ({"slots": np.full((2, 1, 1), EMPTY, np.int32)}, "each of the 2 stored bricks once"),

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from scenes import ball_mesh, cameras, photographs, stripes, two_planes_mesh
 
-from recon3d.carving.visual_hull import visual_hull
+from recon3d.carving.visual_hull import VisualHull
 from recon3d.datasets.synthetic import BuiltInScene, _irradiance, temple_texture
 from recon3d.errors import EmptyReconstructionError
 from recon3d.kernels.vertex_colors import agreed_colors, facing_views, weighted_median
@@ -129,7 +129,7 @@ def test_a_balls_colours_are_exact_to_a_grey_level_and_better_than_its_voxels() 
     error = error_at(colored, facing)
     assert error.mean() < 0.5
     assert error.max() < 4
-    hull = visual_hull(scene, CarvingVolume.enclosing(scene.bounds, n_voxels=100_000))
+    hull = VisualHull().carve(scene, CarvingVolume.enclosing(scene.bounds, n_voxels=100_000))
     points = np.asarray(mesh.vertices)
     mesh.vertex_colors = o3d.utility.Vector3dVector(nearest_colors(hull.volume, points))
     assert error_at(mesh, facing).mean() > 4 * error.mean()
@@ -148,7 +148,7 @@ def test_the_temples_colours_are_nearer_than_its_voxels(temple: BuiltInScene) ->
     exact = 255 * np.clip(temple_texture(points) * _irradiance(normals)[:, None], 0, 1)
     colored, support = color(mesh, temple.scene), VertexVisibility.of(mesh, temple.scene).n_views
     error = np.abs(255 * np.asarray(colored.vertex_colors) - exact).mean(axis=1)[support > 0]
-    hull = visual_hull(temple.scene, CarvingVolume.enclosing(temple.scene.bounds, n_voxels=200_000))
+    hull = VisualHull().carve(temple.scene, CarvingVolume.enclosing(temple.scene.bounds, n_voxels=200_000))
     of_voxels = np.abs(255 * nearest_colors(hull.volume, points) - exact).mean(axis=1)[support > 0]
     # Blocks of 7 to 11 mm with sharp borders, and edges of stone, in pixels of 1.6 mm.
     assert np.median(error) < 7

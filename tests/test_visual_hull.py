@@ -13,12 +13,13 @@ from reference import brute_force_items
 from scenes import ball_mesh, cameras, photographs
 from scipy.spatial import cKDTree
 
-from recon3d.carving.generalized import generalized_voxel_coloring
+from recon3d.carving.generalized import GeneralizedVoxelColoring
 from recon3d.carving.item_buffer import ItemBuffer
+from recon3d.carving.method import Method
 from recon3d.carving.start import hull_distance, outline_distance
-from recon3d.carving.visual_hull import visual_hull
-from recon3d.carving.vote_carving import vote_carving
-from recon3d.carving.voxel_coloring import voxel_coloring
+from recon3d.carving.visual_hull import VisualHull
+from recon3d.carving.vote_carving import VoteCarving
+from recon3d.carving.voxel_coloring import VoxelColoring
 from recon3d.consistency.base import Patches, Verdict
 from recon3d.consistency.deviation import StandardDeviation
 from recon3d.datasets.synthetic import BuiltInScene, little_temple
@@ -69,15 +70,15 @@ def test_the_visual_hull_holds_the_object(temple: BuiltInScene) -> None:
 def test_more_views_leave_less(temple: BuiltInScene) -> None:
     scene = temple.scene
     volume = volume_of(scene, 50_000)
-    few = visual_hull(replace(scene, views=scene.views[:3]), volume).with_interior.occupied
-    more = visual_hull(scene, volume).with_interior.occupied
+    few = VisualHull().carve(replace(scene, views=scene.views[:3]), volume).with_interior.occupied
+    more = VisualHull().carve(scene, volume).with_interior.occupied
     assert (more <= few).all()
     assert more.sum() < few.sum()
 
 
 def test_the_hull_of_a_ball_is_round_to_a_fraction_of_a_voxel(ball: Scene) -> None:
     volume = volume_of(ball, 30_000)
-    hull = visual_hull(ball, volume)
+    hull = VisualHull().carve(ball, volume)
     mesh = mesh_volume(hull.with_interior, distance=hull.distance, smoothing=0)
     blocky = mesh_volume(hull.with_interior, smoothing=0)
     seen = [
@@ -96,20 +97,20 @@ def test_a_wrong_silhouette_is_tolerated(temple: BuiltInScene) -> None:
     wrong = replace(scene, views=(broken, *scene.views[1:]))
     volume = volume_of(scene, 30_000)
     with pytest.raises(EmptyReconstructionError, match=r"view01\.png alone leaves 0\.0%"):
-        visual_hull(wrong, volume)
+        VisualHull().carve(wrong, volume)
     assert (
-        visual_hull(wrong, volume, tolerance=1).with_interior.n_occupied
-        >= visual_hull(scene, volume).with_interior.n_occupied
+        VisualHull(tolerance=1).carve(wrong, volume).with_interior.n_occupied
+        >= VisualHull().carve(scene, volume).with_interior.n_occupied
     )
     with pytest.raises(ValueError, match="expected a tolerance of 0 to 7"):
-        visual_hull(scene, volume, tolerance=8)
+        VisualHull(tolerance=8).carve(scene, volume)
 
 
 def test_no_silhouettes_is_a_clear_error(temple: BuiltInScene) -> None:
     scene = without_silhouettes(temple.scene)
-    for method in (visual_hull, vote_carving):
+    for method in (VisualHull(), VoteCarving()):
         with pytest.raises(SceneError, match="needs silhouettes"):
-            method(scene, volume_of(scene, 5000))
+            method.carve(scene, volume_of(scene, 5000))
 
 
 def test_what_lies_outside_an_image_is_unknown(temple: BuiltInScene) -> None:
@@ -125,7 +126,7 @@ def test_what_lies_outside_an_image_is_unknown(temple: BuiltInScene) -> None:
         name="half",
     )
     volume = volume_of(scene, 20_000)
-    alone = visual_hull(replace(scene, views=(cropped,)), volume)
+    alone = VisualHull().carve(replace(scene, views=(cropped,)), volume)
     beyond = volume.centers()[:, :]
     pixels, _ = view.project(beyond)
     outside = (pixels[:, 0] > half).reshape(volume.shape)
@@ -174,8 +175,8 @@ def test_a_camera_inside_the_volume_sees_from_its_own_voxel_on() -> None:
 def test_the_photo_hull_lies_between_the_object_and_the_visual_hull(temple: BuiltInScene) -> None:
     scene = temple.scene
     volume = volume_of(scene, 60_000)
-    hull = visual_hull(scene, volume)
-    carved = generalized_voxel_coloring(scene, volume, StandardDeviation(threshold=70))
+    hull = VisualHull().carve(scene, volume)
+    carved = GeneralizedVoxelColoring(StandardDeviation(threshold=70)).carve(scene, volume)
     assert (carved.with_interior.occupied <= hull.with_interior.occupied).all()
     # A voxel wholly inside the object is never visible, so nothing can carve it.
     depth = distance_to_mesh(volume.centers(), temple.ground_truth).reshape(volume.shape)
@@ -192,7 +193,9 @@ def _inside(temple: BuiltInScene, volume: CarvingVolume) -> NDArray[np.bool_]:
 
 
 def test_carving_ends_when_every_visible_voxel_is_connected_to_a_consistent_one(temple: BuiltInScene) -> None:
-    hull = generalized_voxel_coloring(temple.scene, volume_of(temple.scene, 30_000), StandardDeviation(threshold=25))
+    hull = GeneralizedVoxelColoring(StandardDeviation(threshold=25)).carve(
+        temple.scene, volume_of(temple.scene, 30_000)
+    )
     visible = hull.labels == Label.CONSISTENT
     assert visible.any()
     assert (hull.degree[visible] >= 1 - 25 / 127.5 - 1e-6).all()  # one threshold: no candidates
@@ -205,17 +208,17 @@ def test_a_test_that_carves_everything_ends_in_a_clear_error(temple: BuiltInScen
         return Verdict(zero, zero + 0.5, zero + 0.5)
 
     with pytest.raises(EmptyReconstructionError, match="carved all"):
-        generalized_voxel_coloring(temple.scene, volume_of(temple.scene, 3000), never)
+        GeneralizedVoxelColoring(never).carve(temple.scene, volume_of(temple.scene, 3000))
 
 
-@pytest.mark.parametrize("method", [visual_hull, generalized_voxel_coloring, vote_carving])
-def test_one_thread_equals_two(method: object, temple: BuiltInScene) -> None:
+@pytest.mark.parametrize("method", [VisualHull(), GeneralizedVoxelColoring(), VoteCarving()])
+def test_one_thread_equals_two(method: Method, temple: BuiltInScene) -> None:
     volume = volume_of(temple.scene, 30_000)
     results = []
     threads = numba.get_num_threads()
     for count in (1, threads):
         numba.set_num_threads(count)
-        results.append(method(temple.scene, volume))  # type: ignore[operator]
+        results.append(method.carve(temple.scene, volume))
     np.testing.assert_array_equal(results[0].labels, results[1].labels)
     np.testing.assert_array_equal(results[0].volume.colors, results[1].volume.colors)
 
@@ -224,7 +227,7 @@ def test_votes_make_the_hull_better_and_never_larger() -> None:
     built_in = little_temple(width=320, height=240, noise=3, light_change=0.05)
     scene = built_in.scene
     volume = volume_of(scene, 300_000)
-    hull, voted = visual_hull(scene, volume), vote_carving(scene, volume)
+    hull, voted = VisualHull().carve(scene, volume), VoteCarving().carve(scene, volume)
     assert (voted.with_interior.occupied <= hull.with_interior.occupied).all()
     before, after = (
         evaluate(mesh_volume(h.with_interior, distance=h.distance), built_in.ground_truth, spacing=5e-4)
@@ -237,7 +240,7 @@ def test_votes_make_the_hull_better_and_never_larger() -> None:
 def test_views_that_cannot_be_matched_are_refused(temple: BuiltInScene) -> None:
     lone = replace(temple.scene, views=temple.scene.views[:1])
     with pytest.raises(SceneError, match="no two views lie 5 to 60 degrees apart"):
-        vote_carving(lone, volume_of(lone, 3000))
+        VoteCarving().carve(lone, volume_of(lone, 3000))
 
 
 def test_a_mesh_can_be_cut_to_what_some_view_sees(temple: BuiltInScene) -> None:
@@ -276,7 +279,7 @@ def test_both_voxel_colourings_agree_where_both_apply(temple: BuiltInScene) -> N
     # They differ in what a voxel sees: its footprint's box, or the rays that hit it.
     volume = volume_of(temple.scene, 60_000)
     test = StandardDeviation(threshold=60)
-    first, second = (carve(temple.scene, volume, test) for carve in (voxel_coloring, generalized_voxel_coloring))
+    first, second = (method(test).carve(temple.scene, volume) for method in (VoxelColoring, GeneralizedVoxelColoring))
     for a, b in ((first, second), (second, first)):
         distance, _ = cKDTree(b.volume.centers()).query(a.volume.centers())
         assert (distance < 1.8 * volume.voxel_size).mean() > 0.85
@@ -293,12 +296,12 @@ def test_what_a_monotone_test_accepts_is_never_carved(temple: BuiltInScene) -> N
         return Verdict(1 - spread / 255, limit, limit)
 
     volume = volume_of(temple.scene, 30_000)
-    carved = generalized_voxel_coloring(temple.scene, volume, in_range)
+    carved = GeneralizedVoxelColoring(in_range).carve(temple.scene, volume)
     kept = (carved.labels == Label.CONSISTENT) | (carved.labels == Label.HIDDEN)
     # Carving more than the photo hull would break the largest set that is consistent: carving it again changes nothing.
-    again = generalized_voxel_coloring(temple.scene, volume.with_occupancy(kept), in_range)
+    again = GeneralizedVoxelColoring(in_range).carve(temple.scene, volume.with_occupancy(kept))
     np.testing.assert_array_equal(again.with_interior.occupied, carved.with_interior.occupied)
-    assert kept.sum() < visual_hull(temple.scene, volume).with_interior.n_occupied
+    assert kept.sum() < VisualHull().carve(temple.scene, volume).with_interior.n_occupied
 
 
 def test_what_is_a_pixel_thin_stays_on_its_side_of_the_outline() -> None:

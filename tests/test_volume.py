@@ -67,9 +67,9 @@ def test_a_voxel_larger_than_the_bounds_makes_one_voxel() -> None:
     [
         ({}, "expected either voxel_size or n_voxels"),
         ({"voxel_size": 0.1, "n_voxels": 10}, "expected either voxel_size or n_voxels"),
-        ({"n_voxels": 0}, "expected at least one voxel, got 0"),
-        ({"voxel_size": 0.0}, "expected a positive voxel size, got 0"),
-        ({"voxel_size": float("nan")}, "expected a positive voxel size, got nan"),
+        ({"n_voxels": 0}, "expected n_voxels to be a whole number of at least 1, got 0"),
+        ({"voxel_size": 0.0}, r"expected voxel_size to be a number in \(0, inf\), got 0"),
+        ({"voxel_size": float("nan")}, r"expected voxel_size to be a number in \(0, inf\), got nan"),
     ],
 )
 def test_senseless_sizes_are_refused(options: dict[str, float], message: str) -> None:
@@ -103,8 +103,8 @@ def test_an_absurd_volume_is_refused_before_it_is_allocated() -> None:
     [
         ({"origin": np.zeros(2)}, "expected an origin of three finite numbers"),
         ({"origin": np.array([0, np.nan, 0])}, "expected an origin of three finite numbers"),
-        ({"voxel_size": -1.0}, "expected a positive voxel size, got -1"),
-        ({"voxel_size": float("inf")}, "expected a positive voxel size, got inf"),
+        ({"voxel_size": -1.0}, r"expected voxel_size to be a number in \(0, inf\), got -1"),
+        ({"voxel_size": float("inf")}, r"expected voxel_size to be a number in \(0, inf\), got inf"),
         ({"occupied": np.ones((2, 2, 2), np.uint8)}, "expected a bool occupancy"),
         ({"occupied": np.ones((2, 2), np.bool_)}, "expected a bool occupancy"),
         ({"colors": np.zeros((2, 2, 1, 3), np.uint8)}, r"expected uint8 colours \(2, 2, 2, 3\), got \(2, 2, 1, 3\)"),

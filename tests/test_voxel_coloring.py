@@ -24,7 +24,7 @@ from scipy.ndimage import binary_dilation
 
 from recon3d.carving.hysteresis import neighbour_offsets
 from recon3d.carving.visibility import sweep_direction
-from recon3d.carving.voxel_coloring import near_to_far, voxel_coloring
+from recon3d.carving.voxel_coloring import VoxelColoring, near_to_far
 from recon3d.consistency.base import Patches, Verdict
 from recon3d.consistency.deviation import StandardDeviation
 from recon3d.consistency.fuzzy import FuzzyAdaptiveHysteresis
@@ -117,7 +117,7 @@ def assert_agree(hull: CarvedVolume, expected: Result) -> None:
 def test_the_engine_agrees_with_the_voxel_by_voxel_reference(name: str, layering: str) -> None:
     scene = world(name)
     volume = CarvingVolume.enclosing(scene.bounds, n_voxels=1500)
-    hull = voxel_coloring(scene, volume, layering=layering)
+    hull = VoxelColoring(layering=layering).carve(scene, volume)
     assert_agree(hull, color_voxels(scene, volume, direction_of(scene, volume), layering=layering))
     counts = hull.counts()
     assert counts["consistent"] > 20
@@ -129,7 +129,7 @@ def test_the_engine_agrees_with_the_voxel_by_voxel_reference(name: str, layering
 def test_every_connectivity_agrees_with_the_reference(connectivity: int, layering: str) -> None:
     scene = world("grainy planes")
     volume = CarvingVolume.enclosing(scene.bounds, n_voxels=1500)
-    hull = voxel_coloring(scene, volume, connectivity=connectivity, layering=layering)
+    hull = VoxelColoring(connectivity=connectivity, layering=layering).carve(scene, volume)
     expected = color_voxels(scene, volume, direction_of(scene, volume), connectivity=connectivity, layering=layering)
     assert_agree(hull, expected)
 
@@ -137,7 +137,7 @@ def test_every_connectivity_agrees_with_the_reference(connectivity: int, layerin
 def test_connectivity_matters_on_the_scene_that_it_is_tested_on() -> None:
     scene = world("grainy planes")
     volume = CarvingVolume.enclosing(scene.bounds, n_voxels=1500)
-    accepted = {voxel_coloring(scene, volume, connectivity=c).volume.n_occupied for c in (6, 18, 26)}
+    accepted = {VoxelColoring(connectivity=c).carve(scene, volume).volume.n_occupied for c in (6, 18, 26)}
     assert len(accepted) == 3
 
 
@@ -145,7 +145,7 @@ def test_connectivity_matters_on_the_scene_that_it_is_tested_on() -> None:
 def test_intensity_by_channels_agrees_with_the_reference(name: str) -> None:
     scene = world(name)
     volume = CarvingVolume.enclosing(scene.bounds, n_voxels=1500)
-    hull = voxel_coloring(scene, volume, FuzzyAdaptiveHysteresis(intensity="channels"))
+    hull = VoxelColoring(FuzzyAdaptiveHysteresis(intensity="channels")).carve(scene, volume)
     assert_agree(hull, color_voxels(scene, volume, direction_of(scene, volume), intensity="channels"))
 
 
@@ -155,7 +155,7 @@ def test_voxels_smaller_than_a_pixel_agree_with_the_reference() -> None:
     bounds = Bounds([0.31, -0.42, 0.1], [1.03, 0.33, 0.61])
     volume = CarvingVolume.enclosing(bounds, voxel_size=0.059)
     scene = replace(scene, bounds=bounds)
-    assert_agree(voxel_coloring(scene, volume), color_voxels(scene, volume, direction_of(scene, volume)))
+    assert_agree(VoxelColoring().carve(scene, volume), color_voxels(scene, volume, direction_of(scene, volume)))
 
 
 def test_only_the_occupied_voxels_of_the_volume_are_visited() -> None:
@@ -163,7 +163,7 @@ def test_only_the_occupied_voxels_of_the_volume_are_visited() -> None:
     volume = CarvingVolume.enclosing(scene.bounds, n_voxels=1000)
     kept = np.random.default_rng(0).random(volume.shape) < 0.6
     volume = volume.with_occupancy(kept)
-    hull = voxel_coloring(scene, volume)
+    hull = VoxelColoring().carve(scene, volume)
     assert_agree(hull, color_voxels(scene, volume, direction_of(scene, volume)))
     assert (hull.labels[~kept] == Label.UNSEEN).all()
 
@@ -171,7 +171,7 @@ def test_only_the_occupied_voxels_of_the_volume_are_visited() -> None:
 def test_the_volume_that_was_given_is_not_changed() -> None:
     scene = world("ball")
     volume = CarvingVolume.enclosing(scene.bounds, n_voxels=1000)
-    voxel_coloring(scene, volume)
+    VoxelColoring().carve(scene, volume)
     assert volume.occupied.all()
     assert not volume.colors.any()
 
@@ -180,9 +180,9 @@ def test_the_volume_that_was_given_is_not_changed() -> None:
 def test_the_order_of_the_views_does_not_matter(layering: str) -> None:
     scene = world("two planes")
     volume = CarvingVolume.enclosing(scene.bounds, n_voxels=4000)
-    hull = voxel_coloring(scene, volume, layering=layering)
+    hull = VoxelColoring(layering=layering).carve(scene, volume)
     shuffled = replace(scene, views=tuple(scene.views[n] for n in (3, 0, 4, 2, 1)))
-    other = voxel_coloring(shuffled, volume, layering=layering)
+    other = VoxelColoring(layering=layering).carve(shuffled, volume)
     np.testing.assert_array_equal(hull.labels, other.labels)
     np.testing.assert_array_equal(hull.volume.colors, other.volume.colors)
 
@@ -194,11 +194,11 @@ def test_the_order_of_the_views_does_not_matter_when_the_sweep_runs_along_an_axi
     scene = with_noise(photographs(mesh, taken_by=eyes), 4.0, seed=5)
     scene = replace(scene, bounds=Bounds([-1.2, -1.2, -0.8], [1.2, 1.2, 0.8]))
     volume = CarvingVolume.enclosing(scene.bounds, voxel_size=0.1)
-    hull = voxel_coloring(scene, volume)
+    hull = VoxelColoring().carve(scene, volume)
     rng = np.random.default_rng(0)
     for _ in range(4):
         shuffled = replace(scene, views=tuple(scene.views[n] for n in rng.permutation(8)))
-        np.testing.assert_array_equal(voxel_coloring(shuffled, volume).labels, hull.labels)
+        np.testing.assert_array_equal(VoxelColoring().carve(shuffled, volume).labels, hull.labels)
 
 
 def test_layers_along_an_axis_are_the_lattice_planes_in_spite_of_rounding() -> None:
@@ -239,8 +239,8 @@ def test_no_occupied_voxels_make_no_layers() -> None:
 
 def test_an_unknown_layering_is_refused() -> None:
     scene = world("ball")
-    with pytest.raises(ValueError, match="expected layering 'slabs' or 'voxels', got 'rings'"):
-        voxel_coloring(scene, full_volume((2, 2, 2), 0.1), layering="rings")  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="expected layering slabs, voxels, got 'rings'"):
+        VoxelColoring(layering="rings").carve(scene, full_volume((2, 2, 2), 0.1))  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("connectivity", [6, 18, 26])
@@ -268,7 +268,7 @@ def test_the_background_never_carves_a_voxel_that_holds_a_part_of_the_object(nam
     views = tuple(replace(view, silhouette=binary_dilation(view.silhouette, ONE_PIXEL)) for view in scene.views)
     scene = replace(scene, views=views, bounds=Bounds([-1.6] * 3, [1.6] * 3))
     volume = CarvingVolume.enclosing(scene.bounds, n_voxels=n_voxels)
-    hull = voxel_coloring(scene, volume)
+    hull = VoxelColoring().carve(scene, volume)
     points = np.asarray(MESHES[name].sample_points_uniformly(20000).points)
     touched = np.unique(np.floor((points - volume.origin) / volume.voxel_size).astype(int), axis=0)
     assert len(touched) > 50
@@ -281,7 +281,7 @@ def test_exact_silhouettes_never_carve_a_voxel_that_the_object_fills(name: str) 
     scene = photographs(MESHES[name], taken_by=cameras(6))
     # Voxels of 0.18 units cover two pixels of 0.083, so a full voxel holds a pixel's centre.
     volume = CarvingVolume.enclosing(scene.bounds, voxel_size=0.18)
-    hull = voxel_coloring(scene, volume)
+    hull = VoxelColoring().carve(scene, volume)
     centers = volume.centers()
     inside = signed_distance(MESHES[name], centers) < -volume.voxel_size * np.sqrt(3) / 2
     filled = np.zeros(volume.shape, np.bool_)
@@ -293,7 +293,7 @@ def test_exact_silhouettes_never_carve_a_voxel_that_the_object_fills(name: str) 
 def test_every_accepted_voxel_is_inside_the_visual_hull() -> None:
     scene = world("noisy ball")
     volume = CarvingVolume.enclosing(scene.bounds, n_voxels=4000)
-    hull = voxel_coloring(scene, volume)
+    hull = VoxelColoring().carve(scene, volume)
     corners = np.stack(np.meshgrid(*[[0, 1]] * 3), -1).reshape(-1, 3)
     for voxel in np.argwhere(hull.volume.occupied):
         world_corners = volume.origin + volume.voxel_size * (voxel + corners)
@@ -310,7 +310,7 @@ def test_more_views_leave_fewer_voxels_to_the_background_rule() -> None:
     volume = CarvingVolume.enclosing(scene.bounds, n_voxels=4000)
     outside = np.zeros(volume.shape, np.bool_)
     for n in range(1, 7):
-        hull = voxel_coloring(replace(scene, views=scene.views[:n]), volume)
+        hull = VoxelColoring().carve(replace(scene, views=scene.views[:n]), volume)
         carved = hull.labels == Label.BACKGROUND
         assert not (outside & ~carved).any()
         outside = carved
@@ -321,7 +321,7 @@ def test_accepted_voxels_of_a_plain_box_lie_on_its_surface() -> None:
     # One albedo and shading by facet: every true surface voxel is consistent, and the voxels before it show background.
     scene = photographs(box_mesh(1.5, 1.2, 1.4), taken_by=cameras(6))
     volume = CarvingVolume.enclosing(scene.bounds, n_voxels=8000)
-    hull = voxel_coloring(scene, volume)
+    hull = VoxelColoring().carve(scene, volume)
     distance = distance_to_mesh(hull.volume.centers(), box_mesh(1.5, 1.2, 1.4))
     # Silhouettes are exact to a pixel (0.083 units here) and a voxel's half diagonal.
     assert np.median(distance) < 0.083 + volume.voxel_size * np.sqrt(3) / 2
@@ -329,7 +329,7 @@ def test_accepted_voxels_of_a_plain_box_lie_on_its_surface() -> None:
 
 def test_labels_degree_and_views_are_consistent_with_each_other(temple: BuiltInScene) -> None:
     volume = CarvingVolume.enclosing(temple.scene.bounds, n_voxels=8000)
-    hull = voxel_coloring(temple.scene, volume)
+    hull = VoxelColoring().carve(temple.scene, volume)
     judged = (hull.labels == Label.CONSISTENT) | (hull.labels == Label.INCONSISTENT)
     np.testing.assert_array_equal(np.isfinite(hull.degree), judged)
     np.testing.assert_array_equal(hull.n_views > 0, judged)
@@ -349,7 +349,7 @@ def test_labels_degree_and_views_are_consistent_with_each_other(temple: BuiltInS
 def test_progress_counts_the_layers_to_the_last() -> None:
     scene = world("ball")
     calls: list[tuple[int, int]] = []
-    voxel_coloring(
+    VoxelColoring().carve(
         scene, CarvingVolume.enclosing(scene.bounds, n_voxels=500), progress=lambda n, of: calls.append((n, of))
     )
     total = calls[0][1]
@@ -375,20 +375,20 @@ class AcceptEverything:
 def test_a_sweep_that_accepts_nothing_is_an_error_with_the_counts() -> None:
     scene = world("ball")
     with pytest.raises(EmptyReconstructionError, match=r"all voxels were carved .*inconsistent.*0 consistent"):
-        voxel_coloring(scene, CarvingVolume.enclosing(scene.bounds, n_voxels=500), AcceptNothing())
+        VoxelColoring(AcceptNothing()).carve(scene, CarvingVolume.enclosing(scene.bounds, n_voxels=500))
 
 
 def test_an_empty_volume_is_an_error() -> None:
     scene = world("ball")
     volume = full_volume((3, 3, 3), 0.1)
     with pytest.raises(EmptyReconstructionError, match="all voxels were carved"):
-        voxel_coloring(scene, volume.with_occupancy(np.zeros((3, 3, 3), np.bool_)))
+        VoxelColoring().carve(scene, volume.with_occupancy(np.zeros((3, 3, 3), np.bool_)))
 
 
 def test_a_test_in_plain_numpy_is_handed_well_formed_patches() -> None:
     scene = world("box, some silhouettes, one view cropped")
     test = AcceptEverything()
-    hull = voxel_coloring(scene, CarvingVolume.enclosing(scene.bounds, n_voxels=1500), test)
+    hull = VoxelColoring(test).carve(scene, CarvingVolume.enclosing(scene.bounds, n_voxels=1500))
     assert sum(batch.n_voxels for batch in test.batches) == hull.volume.n_occupied > 0
     for batch in test.batches:
         assert batch.view_starts.shape[1] == len(scene.views) + 1
@@ -406,13 +406,13 @@ def test_a_test_that_judges_another_number_of_voxels_is_refused() -> None:
 
     scene = world("ball")
     with pytest.raises(ValueError, match="judged 1 voxels of"):
-        voxel_coloring(scene, CarvingVolume.enclosing(scene.bounds, n_voxels=500), too_few)
+        VoxelColoring(too_few).carve(scene, CarvingVolume.enclosing(scene.bounds, n_voxels=500))
 
 
 def test_another_test_gives_another_hull() -> None:
     scene = world("ball")
     volume = CarvingVolume.enclosing(scene.bounds, n_voxels=1500)
-    strict, loose = (voxel_coloring(scene, volume, StandardDeviation(threshold=t)) for t in (8.0, 60.0))
+    strict, loose = (VoxelColoring(StandardDeviation(threshold=t)).carve(scene, volume) for t in (8.0, 60.0))
     assert (strict.labels != loose.labels).any()
     # The degree is kept in single precision.
     assert np.nanmin(strict.degree[strict.volume.occupied]) >= 1 - 8 / 127.5 - 1e-6
@@ -423,7 +423,7 @@ def test_cameras_all_around_are_refused_by_name() -> None:
     eyes = ring(np.zeros(3), n_views=6, distance=6.0, width=48, height=36, focal=72.0, elevation=0.0)
     scene = photographs(ball_mesh(), taken_by=eyes)
     with pytest.raises(VisibilityError, match=r"ordinal visibility constraint.*leave out view\d\d\.png"):
-        voxel_coloring(scene, CarvingVolume.enclosing(scene.bounds, n_voxels=500))
+        VoxelColoring().carve(scene, CarvingVolume.enclosing(scene.bounds, n_voxels=500))
 
 
 def test_a_volume_that_reaches_past_a_camera_is_refused_even_when_the_bounds_do_not() -> None:
@@ -432,14 +432,14 @@ def test_a_volume_that_reaches_past_a_camera_is_refused_even_when_the_bounds_do_
     # The camera stands at (0, 0, -5), inside this volume.
     volume = full_volume((20, 20, 20), 0.7, (-7.0, -7.0, -7.0))
     with pytest.raises(VisibilityError):
-        voxel_coloring(scene, volume)
+        VoxelColoring().carve(scene, volume)
 
 
 def test_voxels_outside_every_image_stay_unseen() -> None:
     view = plain_view()  # sees 40 / 50 * 5 = 4 units across at the origin
     scene = Scene((view,), Bounds([-4, -0.5, -0.5], [4, 0.5, 0.5]))
     volume = CarvingVolume.enclosing(scene.bounds, voxel_size=0.25)
-    hull = voxel_coloring(scene, volume)
+    hull = VoxelColoring().carve(scene, volume)
     pixels, _ = view.project(volume.centers())
     far_off = (np.abs(pixels[:, 0] - 19.5) > 26).reshape(volume.shape)
     assert far_off.any()
@@ -458,4 +458,4 @@ def test_a_silhouette_does_not_carve_what_lies_partly_outside_the_image() -> Non
     pixels, _ = blind.project(scene.bounds.corners)
     assert pixels[:, 0].min() < 39 < 40 < pixels[:, 0].max()
     with pytest.raises(EmptyReconstructionError, match="1 unseen, 0 background"):
-        voxel_coloring(scene, volume)
+        VoxelColoring().carve(scene, volume)

@@ -9,11 +9,13 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from recon3d.carving.item_buffer import SeenItems
+from recon3d.errors import ArgumentError
 from recon3d.kernels.brick_rays import GONE, NOT_ENTERED, advance_bricks
 from recon3d.kernels.bricks import BRICK, SOLID, exposed_bricks
 from recon3d.kernels.ragged import mean_colors
 from recon3d.scene.packed import PackedViews
-from recon3d.volume.lattice import BAND, check_memory
+from recon3d.volume.dense import CarvingVolume
+from recon3d.volume.lattice import BAND, Lattice, check_memory
 from recon3d.volume.sparse import SparseVolume, brick_grid, count_occupied, stored_bricks
 
 BYTES_PER_BRICK = 96 * BRICK**3
@@ -22,15 +24,31 @@ _BYTES_PER_CELL = 16  # of the brick grid: its slots and the masks over it
 _MOST_STORED = np.iinfo(np.int32).max // BRICK**3  # rays keep flat places as 32-bit numbers
 
 
+def whole_lattice(volume: CarvingVolume | Lattice) -> Lattice:
+    """The lattice itself, or that of a full volume: carving from coarse to fine starts from nothing less.
+
+    Raises
+    ------
+    ArgumentError : some voxels of the volume are empty.
+    """
+    if isinstance(volume, Lattice):
+        return volume
+    if not volume.occupied.all():
+        empty = volume.occupied.size - volume.n_occupied
+        raise ArgumentError(f"expected a lattice or a full volume, got one with {empty:,} empty voxels")
+    return volume.lattice
+
+
 class Bricks:
     """Occupancy that grows where it is carved: solid bricks are stored when something in them becomes visible."""
 
-    def __init__(self, origin: NDArray[np.float64], shape: NDArray[np.float64], voxel_size: float) -> None:
-        check_memory(_BYTES_PER_CELL * float(np.prod(np.ceil(shape / BRICK))), shape, voxel_size)
-        self.origin, self.size = origin, voxel_size
-        self.shape = shape.astype(np.int64)
+    def __init__(self, lattice: Lattice) -> None:
+        self.origin, self.size = lattice.origin, lattice.voxel_size
+        self.shape = np.array(lattice.shape)
         """(3,) voxels of the lattice."""
-        self.slots = np.full(brick_grid(self.shape), SOLID, np.int32)
+        grid = brick_grid(self.shape)
+        check_memory(_BYTES_PER_CELL * float(np.prod(grid, dtype=np.float64)), self.shape, self.size)
+        self.slots = np.full(grid, SOLID, np.int32)
         self.bricks = np.empty((0, 3), np.int64)
         self.occupied = np.empty((0, BRICK, BRICK, BRICK), np.bool_)
         self.distance: NDArray[np.float32] | None = None

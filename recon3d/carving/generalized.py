@@ -2,39 +2,34 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import generate_binary_structure, label
 
-from recon3d.carving.hysteresis import CANDIDATE, Connectivity, neighbour_offsets
+from recon3d.carving.hysteresis import CANDIDATE, Connectivity
 from recon3d.carving.item_buffer import ItemBuffer
+from recon3d.carving.method import JudgingMethod
 from recon3d.carving.observations import judge
 from recon3d.carving.observer import Observer, Voxel
-from recon3d.carving.start import hull_distance
+from recon3d.carving.start import any_silhouette, hull_distance
 from recon3d.carving.visible import color_visible
+from recon3d.checks import require_whole
 from recon3d.consistency.base import ConsistencyTest, Patches, Verdict
-from recon3d.consistency.fuzzy import FuzzyAdaptiveHysteresis
 from recon3d.errors import EmptyReconstructionError
 from recon3d.scene.packed import PackedViews
 from recon3d.scene.scene import Scene
 from recon3d.tasks import Progress
 from recon3d.volume.carved import CarvedVolume, Label
 from recon3d.volume.dense import CarvingVolume
+from recon3d.volume.lattice import Lattice
 
 
-def generalized_voxel_coloring(
-    scene: Scene,
-    volume: CarvingVolume,
-    test: ConsistencyTest | None = None,
-    *,
-    connectivity: Connectivity = 26,
-    max_rounds: int = 1000,
-    progress: Progress | None = None,
-    observer: Observer | None = None,
-) -> CarvedVolume:
-    """Carve what the views that see it do not agree on, until nothing changes.
+@dataclass(frozen=True)
+class GeneralizedVoxelColoring(JudgingMethod):
+    """Carve what the views that see it do not agree on, until nothing changes; cameras anywhere, exact visibility.
 
     Starts from the visual hull where there are silhouettes, else from the volume. In a round, the voxels whose visible
     pixels have changed are judged on all pixels that see them now, and those with a degree at or below their low
@@ -43,45 +38,53 @@ def generalized_voxel_coloring(
 
     The result depends neither on the order of the voxels nor on the number of threads.
 
-    Parameters
-    ----------
-    test : the photo-consistency test; the paper's fuzzy test when None.
-    connectivity : neighbours that carry a candidate: 6 (faces), 18 (edges), 26 (corners).
-    max_rounds : stop after so many rounds, with what is left then.
-    progress : called with the number of rounds done and the most there may be.
-    observer : told of every round as it is judged.
-
-    Returns
-    -------
-    CarvedVolume
-        Consistent: the visible voxels that stayed, coloured; hidden: those inside that no pixel sees.
-
-    Raises
-    ------
-    EmptyReconstructionError : every visible voxel was carved; says what carved how many.
-
     References
     ----------
     Culbertson, Malzbender, Slabaugh, "Generalized voxel coloring", Vision Algorithms 1999; the fuzzy test under it is
     what Barhoumi et al. name as their future work.
     """
-    test = FuzzyAdaptiveHysteresis() if test is None else test
-    neighbour_offsets(connectivity)  # refuses what is no connectivity
-    views = scene.packed
-    known = any(view.has_silhouette for view in scene.views)
-    field = hull_distance(scene, volume) if known else None
-    occupied = volume.occupied & (field > 0) if field is not None else volume.occupied.copy()
-    hull = CarvedVolume.untouched(volume, field)
-    hull.labels[volume.occupied & ~occupied] = Label.BACKGROUND
-    started = int(np.count_nonzero(occupied))
 
-    state = _DenseState(hull, occupied, ItemBuffer(views, volume), connectivity, observer)
-    carve_to_agreement(state, test, max_rounds=max_rounds, progress=progress)
-    if not occupied.any():
-        raise all_carved(scene, test, started, hull.count_text())
-    hull.labels[occupied] = Label.HIDDEN
-    color_visible(hull, state.buffer, occupied)
-    return hull
+    max_rounds: int = 1000
+    """Stop after so many rounds, with what is left then."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_whole("max_rounds", self.max_rounds)
+
+    def carve(
+        self,
+        scene: Scene,
+        volume: CarvingVolume | Lattice,
+        *,
+        progress: Progress | None = None,
+        observer: Observer | None = None,
+    ) -> CarvedVolume:
+        """Carve a volume round by round.
+
+        Returns
+        -------
+        CarvedVolume
+            Consistent: the visible voxels that stayed, coloured; hidden: those inside that no pixel sees.
+
+        Raises
+        ------
+        EmptyReconstructionError : every visible voxel was carved; says what carved how many.
+        """
+        volume = CarvingVolume.full(volume)
+        views = scene.packed
+        field = hull_distance(scene, volume) if any_silhouette(scene) else None
+        occupied = volume.occupied & (field > 0) if field is not None else volume.occupied.copy()
+        hull = CarvedVolume.untouched(volume, field)
+        hull.labels[volume.occupied & ~occupied] = Label.BACKGROUND
+        started = int(np.count_nonzero(occupied))
+
+        state = _DenseState(hull, occupied, ItemBuffer(views, volume), self.connectivity, observer)
+        carve_to_agreement(state, self.test, max_rounds=self.max_rounds, progress=progress)
+        if not occupied.any():
+            raise all_carved(scene, self.test, started, hull.count_text())
+        hull.labels[occupied] = Label.HIDDEN
+        color_visible(hull, state.buffer, occupied)
+        return hull
 
 
 class CarvingState(Protocol):

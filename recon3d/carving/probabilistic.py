@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
+from recon3d.carving.method import Method
 from recon3d.carving.observations import carve_background, observations
+from recon3d.carving.observer import Observer
 from recon3d.carving.start import clear_around_cameras
-from recon3d.consistency.base import ConsistencyTest
+from recon3d.checks import require_number, require_whole
 from recon3d.errors import EmptyReconstructionError
 from recon3d.kernels.existence import blend, exist
 from recon3d.scene.packed import PackedViews
@@ -15,6 +19,7 @@ from recon3d.scene.scene import Scene
 from recon3d.tasks import Progress
 from recon3d.volume.carved import CarvedVolume, Label
 from recon3d.volume.dense import CarvingVolume
+from recon3d.volume.lattice import Lattice
 
 _BINS = 8  # a channel, of the histogram of independent colours
 
@@ -25,18 +30,8 @@ _UNIFORM = 0.1  # share of independent colours that may be anything
 _HIDDEN = 0.3  # a voxel that no view sees with more than this probability is hidden
 
 
-def probabilistic_space_carving(
-    scene: Scene,
-    volume: CarvingVolume,
-    test: ConsistencyTest | None = None,
-    *,
-    sigma0: float = 8.0,
-    prior: float = 0.3,
-    threshold: float = 0.4,
-    rounds: int = 12,
-    outliers: float = 0.01,
-    progress: Progress | None = None,
-) -> CarvedVolume:
+@dataclass(frozen=True)
+class ProbabilisticSpaceCarving(Method):
     """Voxels that more probably exist than not, given what the views that may see them show.
 
     Where voxel v exists, each view j that sees it shows its one unknown colour with normal noise; any other view,
@@ -53,28 +48,8 @@ def probabilistic_space_carving(
     v leaves p(v) at the prior. Only at the end do voxels go, so that one that noise has made doubtful does not
     uncover, and so carve, those behind it.
 
-    Parameters
-    ----------
-    scene : views from anywhere. Background of their silhouettes never votes, and a voxel whose footprint in some image
-        is background alone is carved.
-    volume : where to look; only its occupied voxels are visited.
-    test : not asked, since the likelihoods are the test; here so that all methods are called alike.
-    sigma0 : standard deviation, in grey levels, of one surface's colour from view to view.
-    prior : probability, in (0, 1), that a voxel exists, before any image is seen.
-    threshold : voxels with this probability or more are accepted; in (0, 1).
-    rounds : how often all probabilities are computed; what lies behind many wrong voxels needs more.
-    outliers : share of the views, in [0, 1), that show another colour although they see the voxel (highlights, moved
-        silhouettes).
-    progress : called with the number of rounds done and of all.
-
-    Returns
-    -------
-    CarvedVolume
-        Its degree is the probability p; a voxel that no view sees with a probability above 0.3 is hidden.
-
-    Raises
-    ------
-    EmptyReconstructionError : no visible voxel is probable enough.
+    Views may be anywhere. Background of their silhouettes never votes, and a voxel whose footprint in some image is
+    background alone is carved.
 
     Notes
     -----
@@ -89,48 +64,91 @@ def probabilistic_space_carving(
     (two likelihoods a voxel, visibility as a product along rays); the noise model, the histogram, the outliers and
     the rounds over all voxels at once, for cameras anywhere, are ours.
     """
-    del test
-    if not sigma0 > 0:
-        raise ValueError(f"expected sigma0 > 0, got {sigma0}")
-    if not (0 < prior < 1 and 0 < threshold < 1):
-        raise ValueError(f"expected prior and threshold between 0 and 1, got {prior} and {threshold}")
-    if rounds < 1:
-        raise ValueError(f"expected rounds of at least 1, got {rounds}")
-    if not 0 <= outliers < 1:
-        raise ValueError(f"expected outliers in [0, 1), got {outliers}")
-    views = scene.packed
 
-    hull = CarvedVolume.untouched(volume)
-    occupied = volume.occupied.copy()
-    carve_background(views, occupied, volume)
-    hull.labels[volume.occupied & ~occupied] = Label.BACKGROUND
-    clear_around_cameras(occupied, scene, volume)
-    voxels, colors, seen = observations(views, occupied, volume)
+    sigma0: float = 8.0
+    """Standard deviation, in grey levels, of one surface's colour from view to view."""
+    prior: float = 0.3
+    """Probability, in (0, 1), that a voxel exists, before any image is seen."""
+    threshold: float = 0.4
+    """Voxels with this probability or more are accepted; in (0, 1)."""
+    rounds: int = 12
+    """How often all probabilities are computed; what lies behind many wrong voxels needs more."""
+    outliers: float = 0.01
+    """Share of the views, in [0, 1), that show another colour although they see the voxel (highlights, moved
+    silhouettes)."""
 
-    centers = (scene.centers - volume.origin) / volume.voxel_size
-    density = _color_density(views)
-    probability = np.zeros(volume.shape, np.float32)
-    probability[tuple(voxels.T)] = prior
-    posterior = np.empty(len(voxels), np.float32)
-    weights = np.zeros(seen.shape, np.float32)
-    for n in range(rounds):
-        exist(voxels, centers, colors, seen, probability, density, sigma0, outliers, prior, posterior, weights)
-        probability[tuple(voxels.T)] = posterior
-        if progress:
-            progress(n + 1, rounds)
+    def __post_init__(self) -> None:
+        require_number("sigma0", self.sigma0, "(0, inf)")
+        require_number("prior", self.prior, "(0, 1)")
+        require_number("threshold", self.threshold, "(0, 1)")
+        require_whole("rounds", self.rounds)
+        require_number("outliers", self.outliers, "[0, 1)")
 
-    visible = weights.max(axis=1, initial=0) > _HIDDEN
-    accepted = visible & (posterior >= threshold)
-    hull.set_labels(voxels[~visible], Label.HIDDEN)
-    hull.set_labels(voxels[visible & ~accepted], Label.INCONSISTENT)
-    hull.set_labels(voxels[accepted], Label.CONSISTENT)
-    hull.record(voxels[visible], posterior[visible].astype(np.float64), (weights[visible] > _HIDDEN).sum(axis=1))
-    means = np.empty((len(voxels), 3), np.uint8)
-    blend(colors, weights, means)
-    hull.accept(voxels[accepted], means[accepted])
-    if not hull.volume.n_occupied:
-        raise EmptyReconstructionError(f"scene {scene.name}: all voxels were carved ({hull.count_text()})")
-    return hull
+    def carve(
+        self,
+        scene: Scene,
+        volume: CarvingVolume | Lattice,
+        *,
+        progress: Progress | None = None,
+        observer: Observer | None = None,  # noqa: ARG002 # no verdicts are made
+    ) -> CarvedVolume:
+        """Compute all probabilities round by round.
+
+        Returns
+        -------
+        CarvedVolume
+            Its degree is the probability p; a voxel that no view sees with a probability above 0.3 is hidden.
+
+        Raises
+        ------
+        EmptyReconstructionError : no visible voxel is probable enough.
+        """
+        volume = CarvingVolume.full(volume)
+        views = scene.packed
+
+        hull = CarvedVolume.untouched(volume)
+        occupied = volume.occupied.copy()
+        carve_background(views, occupied, volume)
+        hull.labels[volume.occupied & ~occupied] = Label.BACKGROUND
+        clear_around_cameras(occupied, scene, volume)
+        voxels, colors, seen = observations(views, occupied, volume)
+
+        centers = (scene.centers - volume.origin) / volume.voxel_size
+        density = _color_density(views)
+        probability = np.zeros(volume.shape, np.float32)
+        probability[tuple(voxels.T)] = self.prior
+        posterior = np.empty(len(voxels), np.float32)
+        weights = np.zeros(seen.shape, np.float32)
+        for n in range(self.rounds):
+            exist(
+                voxels,
+                centers,
+                colors,
+                seen,
+                probability,
+                density,
+                self.sigma0,
+                self.outliers,
+                self.prior,
+                posterior,
+                weights,
+            )
+            probability[tuple(voxels.T)] = posterior
+            if progress:
+                progress(n + 1, self.rounds)
+
+        visible = weights.max(axis=1, initial=0) > _HIDDEN
+        accepted = visible & (posterior >= self.threshold)
+        hull.set_labels(voxels[~visible], Label.HIDDEN)
+        hull.set_labels(voxels[visible & ~accepted], Label.INCONSISTENT)
+        hull.set_labels(voxels[accepted], Label.CONSISTENT)
+        hull.record(voxels[visible], posterior[visible].astype(np.float64), (weights[visible] > _HIDDEN).sum(axis=1))
+        means = np.empty((len(voxels), 3), np.uint8)
+        blend(colors, weights, means)
+        hull.accept(voxels[accepted], means[accepted])
+        if not hull.volume.n_occupied:
+            raise EmptyReconstructionError(f"scene {scene.name}: all voxels were carved ({hull.count_text()})")
+        return hull
 
 
 def _color_density(views: PackedViews) -> NDArray[np.float64]:

@@ -2,32 +2,28 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
+from recon3d.carving.method import Method
 from recon3d.carving.observations import carve_background, observations
+from recon3d.carving.observer import Observer
 from recon3d.carving.start import clear_around_cameras
-from recon3d.consistency.base import ConsistencyTest
+from recon3d.checks import require_number, require_whole
 from recon3d.errors import EmptyReconstructionError
 from recon3d.kernels.responsibility import respond
 from recon3d.scene.scene import Scene
 from recon3d.tasks import Progress
 from recon3d.volume.carved import CarvedVolume, Label
 from recon3d.volume.dense import CarvingVolume
+from recon3d.volume.lattice import Lattice
 
 _HIDDEN = 0.1  # a voxel that less of the light reaches in every view is hidden
 
 
-def roxels(
-    scene: Scene,
-    volume: CarvingVolume,
-    test: ConsistencyTest | None = None,
-    *,
-    sigma0: float = 12.0,
-    initial: float = 0.1,
-    threshold: float = 0.5,
-    rounds: int = 12,
-    progress: Progress | None = None,
-) -> CarvedVolume:
+@dataclass(frozen=True)
+class Roxels(Method):
     """Colour and opacity of every voxel, so that opaque, half-transparent and empty places together explain the views.
 
     A ray meets voxels 1, 2, ... with opacities a and colours c, and shows colour I of the pixel::
@@ -45,27 +41,8 @@ def roxels(
     end in one voxel each. So what only some views agree on, or what lets some of the background through, ends between
     0 and 1.
 
-    Parameters
-    ----------
-    scene : views from anywhere. Background of their silhouettes never votes, and a voxel whose footprint in some image
-        is background alone is carved.
-    volume : where to look; only its occupied voxels are visited.
-    test : not asked, since agreement is part of the responsibilities; here so that all methods are called alike.
-    sigma0 : standard deviation, in grey levels, of a pixel about the colour of its voxel.
-    initial : opacity, in (0, 1), of every voxel before the first round. Each begins with its views' mean colour.
-    threshold : voxels with this opacity or more are accepted; in (0, 1].
-    rounds : how often responsibilities, colours and opacities are computed.
-    progress : called with the number of rounds done and of all.
-
-    Returns
-    -------
-    CarvedVolume
-        Its degree is the opacity. Voxels below the threshold are inconsistent, or hidden where less than a tenth of the
-        light reaches them in every view.
-
-    Raises
-    ------
-    EmptyReconstructionError : no voxel is opaque enough.
+    Views may be anywhere. Background of their silhouettes never votes, and a voxel whose footprint in some image is
+    background alone is carved.
 
     Notes
     -----
@@ -75,7 +52,7 @@ def roxels(
     Needs 16 bytes a voxel of the volume, 40 a voxel that the silhouettes leave, and for each of these 8 more a view.
 
     The accepted voxels are a thick shell, since a surface shares its opacity with what lies just behind; for a mesh
-    take ``solid``.
+    take ``with_interior``.
 
     References
     ----------
@@ -83,45 +60,78 @@ def roxels(
     (responsibilities from opacity and agreement, colours and opacities from responsibilities); the opacity's
     formula, the uniform density and the start are ours.
     """
-    del test
-    if not sigma0 > 0:
-        raise ValueError(f"expected sigma0 > 0, got {sigma0}")
-    if not (0 < initial < 1 and 0 < threshold <= 1):
-        raise ValueError(f"expected initial in (0, 1) and threshold in (0, 1], got {initial} and {threshold}")
-    if rounds < 1:
-        raise ValueError(f"expected rounds of at least 1, got {rounds}")
-    views = scene.packed
 
-    hull = CarvedVolume.untouched(volume)
-    occupied = volume.occupied.copy()
-    carve_background(views, occupied, volume)
-    hull.labels[volume.occupied & ~occupied] = Label.BACKGROUND
-    clear_around_cameras(occupied, scene, volume)
-    voxels, observed, seen = observations(views, occupied, volume)
-    at = tuple(voxels.T)
+    sigma0: float = 12.0
+    """Standard deviation, in grey levels, of a pixel about the colour of its voxel."""
+    initial: float = 0.1
+    """Opacity, in (0, 1), of every voxel before the first round. Each begins with its views' mean colour."""
+    threshold: float = 0.5
+    """Voxels with this opacity or more are accepted; in (0, 1]."""
+    rounds: int = 12
+    """How often responsibilities, colours and opacities are computed."""
 
-    centers = (scene.centers - volume.origin) / volume.voxel_size
-    opacity = np.zeros(volume.shape, np.float32)
-    opacity[at] = initial
-    colors = np.zeros((*volume.shape, 3), np.float32)
-    colors[at] = observed.sum(axis=1, dtype=np.float32) / seen.sum(axis=1, dtype=np.float32)[:, None]
-    new_opacity, new_colors = opacity[at], colors[at]
-    visible = np.zeros(seen.shape, np.float32)
-    # The normal density's height is left out of the agreement, so the uniform one is taken relative to it.
-    unexplained = min((2 * np.pi * sigma0**2) ** 1.5 / 256**3, 1.0)
-    for n in range(rounds):
-        respond(voxels, centers, observed, seen, opacity, colors, sigma0, unexplained, new_opacity, new_colors, visible)
-        opacity[at], colors[at] = new_opacity, new_colors
-        if progress:
-            progress(n + 1, rounds)
+    def __post_init__(self) -> None:
+        require_number("sigma0", self.sigma0, "(0, inf)")
+        require_number("initial", self.initial, "(0, 1)")
+        require_number("threshold", self.threshold, "(0, 1]")
+        require_whole("rounds", self.rounds)
 
-    accepted = new_opacity >= threshold
-    hidden = ~accepted & (visible.max(axis=1, initial=0) < _HIDDEN)
-    hull.set_labels(voxels[~accepted], Label.INCONSISTENT)
-    hull.set_labels(voxels[hidden], Label.HIDDEN)
-    hull.set_labels(voxels[accepted], Label.CONSISTENT)
-    hull.record(voxels[~hidden], np.clip(new_opacity[~hidden], 0, 1), (visible[~hidden] >= _HIDDEN).sum(axis=1))
-    hull.accept(voxels[accepted], np.rint(new_colors[accepted]).astype(np.uint8))
-    if not hull.volume.n_occupied:
-        raise EmptyReconstructionError(f"scene {scene.name}: all voxels were carved ({hull.count_text()})")
-    return hull
+    def carve(
+        self,
+        scene: Scene,
+        volume: CarvingVolume | Lattice,
+        *,
+        progress: Progress | None = None,
+        observer: Observer | None = None,  # noqa: ARG002 # no verdicts are made
+    ) -> CarvedVolume:
+        """Compute all responsibilities, colours and opacities round by round.
+
+        Returns
+        -------
+        CarvedVolume
+            Its degree is the opacity. Voxels below the threshold are inconsistent, or hidden where less than a tenth of
+            the light reaches them in every view.
+
+        Raises
+        ------
+        EmptyReconstructionError : no voxel is opaque enough.
+        """
+        volume = CarvingVolume.full(volume)
+        views = scene.packed
+
+        hull = CarvedVolume.untouched(volume)
+        occupied = volume.occupied.copy()
+        carve_background(views, occupied, volume)
+        hull.labels[volume.occupied & ~occupied] = Label.BACKGROUND
+        clear_around_cameras(occupied, scene, volume)
+        voxels, observed, seen = observations(views, occupied, volume)
+        at = tuple(voxels.T)
+
+        centers = (scene.centers - volume.origin) / volume.voxel_size
+        opacity = np.zeros(volume.shape, np.float32)
+        opacity[at] = self.initial
+        colors = np.zeros((*volume.shape, 3), np.float32)
+        colors[at] = observed.sum(axis=1, dtype=np.float32) / seen.sum(axis=1, dtype=np.float32)[:, None]
+        new_opacity, new_colors = opacity[at], colors[at]
+        visible = np.zeros(seen.shape, np.float32)
+        # The normal density's height is left out of the agreement, so the uniform one is taken relative to it.
+        unexplained = min((2 * np.pi * self.sigma0**2) ** 1.5 / 256**3, 1.0)
+        for n in range(self.rounds):
+            respond(
+                voxels, centers, observed, seen, opacity, colors, self.sigma0, unexplained, new_opacity, new_colors,
+                visible,
+            )  # fmt: skip
+            opacity[at], colors[at] = new_opacity, new_colors
+            if progress:
+                progress(n + 1, self.rounds)
+
+        accepted = new_opacity >= self.threshold
+        hidden = ~accepted & (visible.max(axis=1, initial=0) < _HIDDEN)
+        hull.set_labels(voxels[~accepted], Label.INCONSISTENT)
+        hull.set_labels(voxels[hidden], Label.HIDDEN)
+        hull.set_labels(voxels[accepted], Label.CONSISTENT)
+        hull.record(voxels[~hidden], np.clip(new_opacity[~hidden], 0, 1), (visible[~hidden] >= _HIDDEN).sum(axis=1))
+        hull.accept(voxels[accepted], np.rint(new_colors[accepted]).astype(np.uint8))
+        if not hull.volume.n_occupied:
+            raise EmptyReconstructionError(f"scene {scene.name}: all voxels were carved ({hull.count_text()})")
+        return hull

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from recon3d.carving.hysteresis import CANDIDATE, Connectivity, neighbour_offsets
+from recon3d.carving.hysteresis import CANDIDATE, neighbour_offsets
+from recon3d.carving.method import JudgingMethod
 from recon3d.carving.observations import carve_background, judge, starts_of
 from recon3d.carving.observer import Observer, Voxel
 from recon3d.carving.start import clear_around_cameras
+from recon3d.checks import require_whole
 from recon3d.consistency.base import ConsistencyTest, Patches, Verdict
-from recon3d.consistency.fuzzy import FuzzyAdaptiveHysteresis
 from recon3d.errors import EmptyReconstructionError
 from recon3d.kernels.lattice import grow_consistent
 from recon3d.kernels.ragged import mean_colors
@@ -22,6 +24,7 @@ from recon3d.scene.scene import Scene
 from recon3d.tasks import Progress
 from recon3d.volume.carved import CarvedVolume, Label
 from recon3d.volume.dense import CarvingVolume
+from recon3d.volume.lattice import Lattice
 
 _FREE = np.iinfo(np.int32).max  # a pixel that no layer has claimed
 
@@ -29,16 +32,8 @@ _FREE = np.iinfo(np.int32).max  # a pixel that no layer has claimed
 _BATCH = 1 << 15  # voxels judged at once when no layer limits them
 
 
-def space_carving(
-    scene: Scene,
-    volume: CarvingVolume,
-    test: ConsistencyTest | None = None,
-    *,
-    max_rounds: int = 50,
-    connectivity: Connectivity = 26,
-    progress: Progress | None = None,
-    observer: Observer | None = None,
-) -> CarvedVolume:
+@dataclass(frozen=True)
+class SpaceCarving(JudgingMethod):
     """Carve the voxels on which the views that see them disagree, until all that is left is photo-consistent.
 
     A plane sweeps the volume along +x, -x, +y, -y, +z and -z. In each sweep the cameras on the near side of the plane
@@ -49,27 +44,10 @@ def space_carving(
     With a test that has two thresholds only ``degree <= low`` is carved at first. When that changes nothing any more,
     candidates that no candidates connect to a consistent voxel are carved too, and the rounds go on.
 
-    Parameters
-    ----------
-    scene : views from anywhere. Background of their silhouettes never votes, and a voxel whose footprint in some image
-        is background alone is carved.
-    volume : where to look; only its occupied voxels are visited. Voxels within three voxel sizes of a camera are taken
-        to be empty, so that a camera inside the volume can see.
-    test : the photo-consistency test; the paper's fuzzy test when None. With a monotone test (a set found
-        inconsistent stays so when it grows) the result holds every photo-consistent shape in the volume.
-    max_rounds : stop after so many rounds, whatever is left; what fails then is still dropped.
-    connectivity : neighbours that carry a candidate: 6 (faces), 18 (edges), 26 (corners).
-    progress : called with the number of sweeps done and of all that are allowed.
-    observer : told of every layer as it is judged.
-
-    Returns
-    -------
-    CarvedVolume
-        Its volume holds the visible, accepted voxels; what no view can see is hidden, and part of ``solid``.
-
-    Raises
-    ------
-    EmptyReconstructionError : every voxel was carved.
+    Views may be anywhere. Background of their silhouettes never votes, and a voxel whose footprint in some image is
+    background alone is carved. Voxels within three voxel sizes of a camera are taken to be empty, so that a camera
+    inside the volume can see. With a monotone test (a set found inconsistent stays so when it grows) the result holds
+    every photo-consistent shape in the volume.
 
     Notes
     -----
@@ -88,37 +66,63 @@ def space_carving(
     colouring based on fuzzy adaptive hysteresis thresholding", 2013, equation 8 (the hysteresis; its use
     with several sweeps is ours).
     """
-    if max_rounds < 1:
-        raise ValueError(f"expected max_rounds of at least 1, got {max_rounds}")
-    offsets = neighbour_offsets(connectivity)
-    test = FuzzyAdaptiveHysteresis() if test is None else test
-    views = scene.packed
 
-    hull = CarvedVolume.untouched(volume)
-    occupied = volume.occupied.copy()
-    carve_background(views, occupied, volume)
-    hull.labels[volume.occupied & ~occupied] = Label.BACKGROUND
-    clear_around_cameras(occupied, scene, volume)
-    carving = _Carving(views, scene, hull, occupied, test, observer)
-    carving.drop_unseen()
+    max_rounds: int = 50
+    """Stop after so many rounds, whatever is left; what fails then is still dropped."""
 
-    for n in range(max_rounds):
-        carved = 0
-        for sweep in range(6):
-            carved += carving.sweep(sweep)
-            if progress:
-                progress(6 * n + sweep + 1, 6 * max_rounds)
-        if not carved and not carving.drop_failures(offsets):
-            break
-    else:
-        # Stopped early: what is dropped here uncovers others that no sweep has judged, and they stay hidden.
-        carving.drop_failures(offsets)
-    if progress:
-        progress(6 * max_rounds, 6 * max_rounds)
-    carving.finish()
-    if not hull.volume.n_occupied:
-        raise EmptyReconstructionError(f"scene {scene.name}: all voxels were carved ({hull.count_text()})")
-    return hull
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_whole("max_rounds", self.max_rounds)
+
+    def carve(
+        self,
+        scene: Scene,
+        volume: CarvingVolume | Lattice,
+        *,
+        progress: Progress | None = None,
+        observer: Observer | None = None,
+    ) -> CarvedVolume:
+        """Sweep a volume round by round.
+
+        Returns
+        -------
+        CarvedVolume
+            Its volume holds the visible, accepted voxels; what no view can see is hidden, and part of
+            ``with_interior``.
+
+        Raises
+        ------
+        EmptyReconstructionError : every voxel was carved.
+        """
+        volume = CarvingVolume.full(volume)
+        offsets = neighbour_offsets(self.connectivity)
+        views = scene.packed
+
+        hull = CarvedVolume.untouched(volume)
+        occupied = volume.occupied.copy()
+        carve_background(views, occupied, volume)
+        hull.labels[volume.occupied & ~occupied] = Label.BACKGROUND
+        clear_around_cameras(occupied, scene, volume)
+        carving = _Carving(views, scene, hull, occupied, self.test, observer)
+        carving.drop_unseen()
+
+        for n in range(self.max_rounds):
+            carved = 0
+            for sweep in range(6):
+                carved += carving.sweep(sweep)
+                if progress:
+                    progress(6 * n + sweep + 1, 6 * self.max_rounds)
+            if not carved and not carving.drop_failures(offsets):
+                break
+        else:
+            # Stopped early: what is dropped here uncovers others that no sweep has judged, and they stay hidden.
+            carving.drop_failures(offsets)
+        if progress:
+            progress(6 * self.max_rounds, 6 * self.max_rounds)
+        carving.finish()
+        if not hull.volume.n_occupied:
+            raise EmptyReconstructionError(f"scene {scene.name}: all voxels were carved ({hull.count_text()})")
+        return hull
 
 
 class _Carving:

@@ -50,6 +50,11 @@ def hull_distance(scene: Scene, volume: CarvingVolume, *, tolerance: int = 0) ->
     return np.maximum(field, -limit)
 
 
+def any_silhouette(scene: Scene) -> bool:
+    """Whether some view of a scene has a silhouette."""
+    return any(view.has_silhouette for view in scene.views)
+
+
 class Outlines(NamedTuple):
     """The silhouettes as kernels read them, of the views that have one."""
 

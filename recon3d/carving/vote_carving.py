@@ -1,8 +1,9 @@
-"""Carving by the votes of neighbouring views: the visual hull, with colour evidence that bites but does not tear."""
+"""Carving by the votes of neighbouring views: the visual hull, refined by what these agree on."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import cv2
 import numpy as np
@@ -10,9 +11,11 @@ from numpy.typing import NDArray
 
 from recon3d.carving.depth_votes import MIN_DEVIATION, carve_by_depths, hull_of_field
 from recon3d.carving.item_buffer import ItemBuffer
+from recon3d.carving.method import Method
+from recon3d.carving.observer import Observer
 from recon3d.carving.start import hull_distance
 from recon3d.carving.visible import color_visible
-from recon3d.consistency.base import ConsistencyTest
+from recon3d.checks import require_number
 from recon3d.errors import EmptyReconstructionError
 from recon3d.kernels.matching import best_depths, count_agreements
 from recon3d.scene.neighbours import matching_neighbours
@@ -21,6 +24,7 @@ from recon3d.scene.scene import Scene
 from recon3d.tasks import Progress
 from recon3d.volume.carved import CarvedVolume, Label
 from recon3d.volume.dense import CarvingVolume
+from recon3d.volume.lattice import Lattice
 
 _FINEST = 2.0  # pixel footprints; a window is twice as wide
 
@@ -51,43 +55,18 @@ _ROUNDS = (
 )
 
 
-def vote_carving(
-    scene: Scene,
-    volume: CarvingVolume,
-    test: ConsistencyTest | None = None,  # noqa: ARG001 # methods are called alike
-    *,
-    min_score: float = 0.6,
-    truncation: float = 4.0,
-    progress: Progress | None = None,
-) -> CarvedVolume:
+@dataclass(frozen=True)
+class VoteCarving(Method):
     """Carve the visual hull where neighbouring views agree that the surface lies deeper.
 
-    A threshold on all pixels of a voxel must survive the two most different of its views, so it either keeps
-    everything or tears true surface. Here each view is asked by itself: along the ray of a pixel, from the present
-    surface inwards, at which depth does the window around it correlate best with views 5 to 60 degrees away? An
-    occluded or grazing view then merely has no good answer. Depths that no second view confirms are dropped; the
-    others vote: for empty before them, for solid just behind. A voxel nobody speaks of stays, as do unseen cavities.
+    A threshold on all pixels of a voxel is set by the two least similar of its views, so it either keeps everything or
+    tears true surface. Here each view is matched by itself: along the ray of a pixel, from the present surface inwards,
+    at which depth does the window around it correlate best with views 5 to 60 degrees away? An occluded or grazing
+    view then merely has no good answer. Depths that no second view confirms are dropped; the others vote: for empty
+    before them, for solid just behind. Voxels without votes are kept, as are unseen cavities.
 
     Two passes: a coarse one, as deep as the bounds' shortest side, for the cavities, a fine one near the surface
     found. The result lies inside the visual hull, and its distance field gives the surface to a fraction of a voxel.
-
-    Parameters
-    ----------
-    test : not used; windows are compared by normalised cross-correlation.
-    min_score : mean of the two best correlations that counts as a match, in (-1, 1).
-    truncation : how far before and behind a depth it is evidence for the surface's exact place; in voxels, or in two
-        pixel footprints where that is more.
-
-    Returns
-    -------
-    CarvedVolume
-        Consistent: the voxels that some pixel sees, coloured; hidden: the others inside; inconsistent: carved by
-        votes. ``distance`` is the signed distance to the surface.
-
-    Raises
-    ------
-    SceneError : no silhouettes, or no two views that can be matched.
-    EmptyReconstructionError : nothing was left.
 
     References
     ----------
@@ -95,35 +74,68 @@ def vote_carving(
     photo-consistency", PAMI 2007 (votes along rays). Curless, Levoy, "A volumetric method for building complex models
     from range images", SIGGRAPH 1996 (truncated signed distances).
     """
-    if not -1 < min_score < 1 or not truncation > 0:
-        raise ValueError(f"expected min_score in (-1, 1) and truncation > 0, got {min_score} and {truncation}")
-    neighbours = matching_neighbours(scene)
-    views = scene.packed
-    hull_field = hull_distance(scene, volume)
-    inside_hull = volume.occupied & (hull_field > 0)
-    field = np.where(volume.occupied, hull_field, np.minimum(hull_field, -volume.voxel_size))
-    # Below a few pixels, smaller voxels do not make the photographs say more.
-    resolution = max(volume.voxel_size, _FINEST * scene.pixel_footprint)
-    matcher = _Matcher(scene, volume, views, neighbours, min_score, resolution)
-    for n, settings in enumerate(_ROUNDS):
-        buffer = ItemBuffer(views, volume)
-        buffer.advance(field > 0)
-        depths, weights = matcher.depth_maps(buffer, settings)
-        field = carve_by_depths(
-            field, volume, views, depths, weights, stride=settings.stride, resolution=resolution,
-            truncation=truncation * resolution, prior=settings.prior, margin=settings.margin,
-        )  # fmt: skip
-        if progress:
-            progress(n + 1, len(_ROUNDS))
 
-    if not (field > 0).any():
-        raise EmptyReconstructionError(
-            f"scene {scene.name}: the votes carved all {inside_hull.sum():,} voxels of the hull"
-        )
-    labels = np.where(volume.occupied, np.where(inside_hull, Label.INCONSISTENT, Label.BACKGROUND), Label.UNSEEN)
-    hull = hull_of_field(field, labels, volume)
-    color_visible(hull, ItemBuffer(views, volume), field > 0)
-    return hull
+    needs_silhouettes: ClassVar[bool] = True
+
+    min_score: float = 0.6
+    """Mean of the two best normalised cross-correlations that counts as a match, in (-1, 1)."""
+    truncation: float = 4.0
+    """How far before and behind a depth it is evidence for the surface's exact place; in voxels, or in two pixel
+    footprints where that is more."""
+
+    def __post_init__(self) -> None:
+        require_number("min_score", self.min_score, "(-1, 1)")
+        require_number("truncation", self.truncation, "(0, inf)")
+
+    def carve(
+        self,
+        scene: Scene,
+        volume: CarvingVolume | Lattice,
+        *,
+        progress: Progress | None = None,
+        observer: Observer | None = None,  # noqa: ARG002 # no verdicts are made
+    ) -> CarvedVolume:
+        """Match, vote and carve in two passes.
+
+        Returns
+        -------
+        CarvedVolume
+            Consistent: the voxels that some pixel sees, coloured; hidden: the others inside; inconsistent: carved by
+            votes. ``distance`` is the signed distance to the surface.
+
+        Raises
+        ------
+        SceneError : no silhouettes, or no two views that can be matched.
+        EmptyReconstructionError : nothing was left.
+        """
+        volume = CarvingVolume.full(volume)
+        neighbours = matching_neighbours(scene)
+        views = scene.packed
+        hull_field = hull_distance(scene, volume)
+        inside_hull = volume.occupied & (hull_field > 0)
+        field = np.where(volume.occupied, hull_field, np.minimum(hull_field, -volume.voxel_size))
+        # Below a few pixels, smaller voxels do not make the photographs say more.
+        resolution = max(volume.voxel_size, _FINEST * scene.pixel_footprint)
+        matcher = _Matcher(scene, volume, views, neighbours, self.min_score, resolution)
+        for n, each in enumerate(_ROUNDS):
+            buffer = ItemBuffer(views, volume)
+            buffer.advance(field > 0)
+            depths, weights = matcher.depth_maps(buffer, each)
+            field = carve_by_depths(
+                field, volume, views, depths, weights, stride=each.stride, resolution=resolution,
+                truncation=self.truncation * resolution, prior=each.prior, margin=each.margin,
+            )  # fmt: skip
+            if progress:
+                progress(n + 1, len(_ROUNDS))
+
+        if not (field > 0).any():
+            raise EmptyReconstructionError(
+                f"scene {scene.name}: the votes carved all {inside_hull.sum():,} voxels of the hull"
+            )
+        labels = np.where(volume.occupied, np.where(inside_hull, Label.INCONSISTENT, Label.BACKGROUND), Label.UNSEEN)
+        hull = hull_of_field(field, labels, volume)
+        color_visible(hull, ItemBuffer(views, volume), field > 0)
+        return hull
 
 
 @dataclass(frozen=True)
@@ -137,14 +149,14 @@ class _Matcher:
     min_score: float
     resolution: float
 
-    def depth_maps(self, buffer: ItemBuffer, settings: _Round) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    def depth_maps(self, buffer: ItemBuffer, each: _Round) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Confirmed depths and their weights (n_views, rows, columns) of every stride-th pixel; 0 where none."""
         views, size = self.views, self.volume.voxel_size
         grey = np.stack([cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) for image in views.images]).astype(np.float32)
-        items = buffer.items[:, :: settings.stride, :: settings.stride]
+        items = buffer.items[:, :: each.stride, :: each.stride]
         depths = np.zeros(items.shape, np.float32)
         weights = np.zeros(items.shape, np.float32)
-        reach = settings.reach * float(min(self.scene.bounds.extent))
+        reach = each.reach * float(min(self.scene.bounds.extent))
         for n, others in enumerate(self.neighbours):
             rows, columns = np.nonzero(items[n] >= 0)
             voxels = np.column_stack(np.unravel_index(items[n][rows, columns], self.volume.shape))
@@ -156,8 +168,8 @@ class _Matcher:
                 best_depths(
                     grey[n], *views.sizes[n], grey[others], views.sizes[others],
                     P[:, :, :3] @ views.world_from_pixel[n], P[:, :, :3] @ views.centers[n] + P[:, :, 3],
-                    settings.stride * np.column_stack([columns, rows]), entry - 1.5 * size, entry + reach,
-                    settings.step * self.scene.pixel_footprint, settings.radius, settings.spacing, MIN_DEVIATION,
+                    each.stride * np.column_stack([columns, rows]), entry - 1.5 * size, entry + reach,
+                    each.step * self.scene.pixel_footprint, each.radius, each.spacing, MIN_DEVIATION,
                     found, score,
                 )  # fmt: skip
             good = score > self.min_score
@@ -169,7 +181,7 @@ class _Matcher:
             views.centers,
             views.world_from_pixel,
             depths,
-            settings.stride,
+            each.stride,
             0.75 * self.resolution,
             agreements,
         )

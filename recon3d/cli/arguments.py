@@ -9,17 +9,18 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
 
-from recon3d.errors import DataError
+from recon3d.errors import ArgumentError, DataError
 
 if TYPE_CHECKING:  # Open3D takes seconds to import, --help should not
     import open3d as o3d
 
+    from recon3d.carving import Method
     from recon3d.consistency.base import ConsistencyTest
     from recon3d.datasets.synthetic import BuiltInScene
     from recon3d.pipeline import Progress
@@ -97,6 +98,30 @@ def make_test(name: str | None, options: list[str]) -> ConsistencyTest:
         return load_test(name or "fuzzy", **values)
     except ValueError as error:
         raise ValueError(f"{'--test-option' if values else '--test'}: {error}") from None
+
+
+def make_method(name: str, options: list[str], test: str | None, test_options: list[str]) -> Method | None:
+    """Carving method of a name, with NAME=VALUE options and a test; None where the scene is to decide."""
+    from recon3d.carving import METHODS, JudgingMethod
+
+    if name == "auto":
+        if options:
+            raise ArgumentError(f"--method-option: expected --method, too, got {', '.join(options)} alone")
+        if test is None and not test_options:
+            return None
+        name = "generalized-voxel-coloring"
+    if name not in METHODS:
+        raise ArgumentError(f"--method: expected auto, {', '.join(METHODS)}, got {name!r}")
+    kind, values = METHODS[name], keywords(options)
+    if test is not None or test_options:
+        if not issubclass(kind, JudgingMethod):
+            raise ArgumentError(f"--test: {name} uses no photo-consistency test, got {test or 'fuzzy'}")
+        values["test"] = make_test(test, test_options)
+    known = [option.name for option in fields(kind)]
+    unknown = [option for option in values if option not in known]
+    if unknown:
+        raise ArgumentError(f"--method-option: {name} has no {', '.join(unknown)}; it has {', '.join(known)}")
+    return kind(**values)
 
 
 def views_of(option: str) -> Any:

@@ -14,9 +14,8 @@ import typer
 from recon3d._version import __version__
 from recon3d.cli.arguments import (
     beside,
-    keywords,
     load,
-    make_test,
+    make_method,
     mesh_of,
     names_of,
     numbers_of,
@@ -44,11 +43,11 @@ app = typer.Typer(
 )
 
 
-class Quality(StrEnum):
-    """Of the mesh."""
+class MatchingChoice(StrEnum):
+    """Whether points are matched inside the carved voxels."""
 
     auto = "auto"
-    voxels = "voxels"
+    none = "none"
     dense = "dense"
 
 
@@ -205,9 +204,13 @@ def reconstruct(
     views: ViewsOption = "auto",
     max_views: Annotated[int | None, typer.Option(help="With --views auto: at most so many.")] = None,
     fill_hidden: Annotated[bool, typer.Option("--fill-hidden", help="Mesh what lies hidden, too: solid.")] = False,
-    quality: Annotated[
-        Quality, typer.Option(help="Mesh of the voxels, or of points matched inside them [auto: dense with auto].")
-    ] = Quality.auto,
+    matching: Annotated[
+        MatchingChoice,
+        typer.Option(
+            help="Mesh of points that are matched inside the carved voxels (dense), or of the voxels themselves (none) "
+            "[auto: dense where --method is auto and silhouettes are known]."
+        ),
+    ] = MatchingChoice.auto,
     surface: Annotated[Surface, typer.Option(help="How a dense mesh is made of its points.")] = Surface.poisson,
     keep_unsupported: Annotated[
         bool, typer.Option(help="Keep surface that nothing was measured of, the hull's, so that the mesh is closed.")
@@ -222,20 +225,21 @@ def reconstruct(
     """Reconstruct a coloured mesh, points and voxels from calibrated photographs."""
     from recon3d.io.geometry import read_mesh
     from recon3d.settings import Settings
+    from recon3d.stereo import PASSES
+    from recon3d.surface import Meshing
 
-    size: dict[str, Any] = {} if n_voxels is None else {"n_voxels": n_voxels}
     settings = Settings(
-        **size,
-        voxel_size=voxel_size,
-        method=method,
-        method_options=keywords(method_option or []),
-        test=make_test(test, test_option or []) if test or test_option else None,
         views=views_of(views),
         max_views=max_views,
-        fill_hidden=fill_hidden,
-        quality=quality.value,
-        surface=surface.value,
-        keep_unsupported=keep_unsupported,
+        n_voxels=n_voxels,
+        voxel_size=voxel_size,
+        carving=make_method(method, method_option or [], test, test_option or []),
+        matching={"auto": "auto", "none": None, "dense": PASSES}[matching.value],
+        meshing=Meshing(
+            surface=surface.value,
+            keep_unsupported=keep_unsupported,
+            fill_hidden=fill_hidden,
+        ),
     )
     truth = read_mesh(ground_truth) if ground_truth else None
     loaded = load(scene, bounds, silhouettes, mm_per_unit)
@@ -344,8 +348,7 @@ def compare(
     expand_variants(chosen, swept)  # a mistake here need not wait for the photographs
     settings = Settings(
         n_voxels=n_voxels,
-        method=method,
-        method_options=keywords(method_option or []),
+        carving=make_method(method, method_option or [], None, []),
         views=views_of(views),
         max_views=max_views,
     )
@@ -434,7 +437,8 @@ def explain(
         report("carving", 0, 1)
         found = explain_voxel(scene, settings, at=place, pixel=clicked, stages=kept)
         report("carving", 1, 1)
-    if record and record["voxels"] != found.carved.counts():
+    kept_voxels = ("consistent", "hidden")
+    if record and any(record["voxels"][name] != found.carved.counts()[name] for name in kept_voxels):
         warnings.warn(f"{result}: carved once more, other voxels are left than recorded; data or program have changed",
                       stacklevel=1)  # fmt: skip
     name = "voxel_" + "_".join(map(str, found.voxel)) + ".png"

@@ -8,6 +8,8 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from recon3d.errors import ArgumentError
+
 
 @dataclass(frozen=True)
 class Patches:
@@ -144,3 +146,14 @@ def verdict_of(value: NDArray[np.float64], limit: NDArray[np.float64] | float) -
     degree = np.divide(limit, total, out=np.ones_like(value), where=value > 0)
     half = np.full(value.shape, 0.5)
     return Verdict(degree, half, half)
+
+
+def require_test(test: object) -> None:
+    """Refuse what cannot be called with patches.
+
+    Raises
+    ------
+    ArgumentError : says what was got.
+    """
+    if not callable(test) or isinstance(test, type):
+        raise ArgumentError(f"expected a photo-consistency test, which is called with patches, got {test!r}")

@@ -5,38 +5,46 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from itertools import groupby
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from recon3d.carving import METHODS
-from recon3d.carving.hysteresis import neighbour_offsets
+from recon3d.carving import (
+    GeneralizedVoxelColoring,
+    JudgingMethod,
+    Method,
+    ProbabilisticSpaceCarving,
+    Roxels,
+    SpaceCarving,
+    VoteCarving,
+    VoxelColoring,
+)
+from recon3d.carving.hysteresis import Connectivity, neighbour_offsets
 from recon3d.carving.observations import UnclaimedPixels
 from recon3d.carving.observer import Judgement, Voxel, VoxelWatcher, voxel_text
 from recon3d.explaining.evidence import PixelKind, ViewEvidence, view_evidence
 from recon3d.explaining.figure import NeighbourSlices, draw_explanation
 from recon3d.explaining.pointing import most_telling, place_text, voxel_at, voxels_on_ray
-from recon3d.pipeline import carve
+from recon3d.pipeline import kept_carving
 from recon3d.scene.scene import Scene
-from recon3d.settings import Settings, choose_views
+from recon3d.settings import Settings, choose_views, method_name
 from recon3d.stereo.refinement import Stages, refine
 from recon3d.summary import Summarised
 from recon3d.volume.carved import CarvedVolume, Label
 from recon3d.volume.dense import CarvingVolume
 
-_TAKEN = {
-    "voxel-coloring": "claimed by accepted voxels nearer to the camera",
-    "generalized-voxel-coloring": "see another voxel",
-    "space-carving": "not free in their sweep",
+_TAKEN: dict[type[Method], str] = {
+    VoxelColoring: "claimed by accepted voxels nearer to the camera",
+    GeneralizedVoxelColoring: "see another voxel",
+    SpaceCarving: "not free in their sweep",
 }
 
 
-_UNKNOWN = {
-    "vote-carving": "which depth maps voted: all votes around a voxel are blurred into one distance before they count",
-    "probabilistic-space-carving": "one deciding moment: the degree is the voxel's probability after the last round, "
+_UNKNOWN: dict[type[Method], str] = {
+    VoteCarving: "which depth maps voted: all votes around a voxel are blurred into one distance before they count",
+    ProbabilisticSpaceCarving: "one deciding moment: the degree is the voxel's probability after the last round, "
     "and all voxels change each other's",
-    "roxels": "one deciding moment: the degree is the voxel's opacity after the last round, "
+    Roxels: "one deciding moment: the degree is the voxel's opacity after the last round, "
     "and all voxels on a ray change each other's",
 }
 
@@ -50,7 +58,7 @@ class Explanation(Summarised):
     settings: Settings
     """Resolved."""
     carved: CarvedVolume
-    """The whole result; of a sharp one, what matching left, with the degrees of carving."""
+    """The whole result; of a dense one, what matching left, with the degrees of carving."""
     voxel: Voxel
     """(i, j, k)."""
     judgements: tuple[Judgement, ...]
@@ -63,6 +71,11 @@ class Explanation(Summarised):
     """What carving had made of the voxel, before matching carved on; None: the result is not a sharp one."""
     n_points: int = 0
     """Points of a sharp result in the voxel."""
+
+    @property
+    def method(self) -> Method:
+        """What carved."""
+        return self.settings.method_for(self.scene)
 
     @property
     def label(self) -> Label:
@@ -101,7 +114,7 @@ class Explanation(Summarised):
         """Why a voxel that no test judged was carved or kept."""
         if self.label == Label.CONSISTENT:
             return "kept, and some pixel sees it"
-        return f"carved by {self.settings.method} as a whole, not by one judgement"
+        return f"carved by {method_name(self.method)} as a whole, not by one judgement"
 
     def hysteresis(self) -> str:
         """What the hysteresis decided, and through which voxels."""
@@ -120,7 +133,7 @@ class Explanation(Summarised):
 
     def neighbours(self) -> str:
         """Labels of the voxels around, and the range of their degrees."""
-        at = np.array(self.voxel) + neighbour_offsets(_connectivity(self.settings))
+        at = np.array(self.voxel) + neighbour_offsets(_connectivity(self.method))
         at = at[((at >= 0) & (at < self.carved.labels.shape)).all(axis=1)]
         labels, degrees = self.carved.labels[tuple(at.T)], self.carved.degree[tuple(at.T)]
         parts = []
@@ -143,7 +156,7 @@ class Explanation(Summarised):
         values = view.luminances
         text = f"{len(values)} of {n} pixels voted"
         text += f", luminance {values.min()}..{values.max()}" if len(values) else ""
-        rest = ((PixelKind.TAKEN, _TAKEN.get(self.settings.method, "")), (PixelKind.BACKGROUND, "background"))
+        rest = ((PixelKind.TAKEN, _TAKEN.get(type(self.method), "")), (PixelKind.BACKGROUND, "background"))
         return text + "".join(f"; {view.count(kind)} {name}" for kind, name in rest if view.count(kind))
 
     def summary(self) -> dict[str, object]:
@@ -170,10 +183,10 @@ class Explanation(Summarised):
                 f"carving left it {self.label_before_matching.name.lower()}; "
                 f"{self.n_points} points of the mesh lie in it"
             )
-        if self.settings.method in _UNKNOWN:
-            rows["not known"] = _UNKNOWN[self.settings.method]
-        if self.settings.test:
-            rows["test"] = repr(self.settings.test)
+        if type(self.method) in _UNKNOWN:
+            rows["not known"] = _UNKNOWN[type(self.method)]
+        if isinstance(self.method, JudgingMethod):
+            rows["test"] = repr(self.method.test)
         rows["neighbours"] = self.neighbours()
         return rows | {f"view {view.name}": self.describe(view) for view in self.views}
 
@@ -230,24 +243,28 @@ def explain(
         raise ValueError("expected a place (at) or a pixel, one of them")
     settings = (settings or Settings()).resolved(scene)
     scene = choose_views(scene, settings)
-    volume = CarvingVolume.enclosing(scene.bounds, voxel_size=settings.voxel_size, n_voxels=settings.n_voxels)
-    views = scene.packed
-    asks = METHODS[settings.method].uses_test
+    method = settings.method_for(scene).dense()
+    # What a sparse volume's stage holds does not tell why voxels were carved.
+    kept = stages if method == settings.carving else None
+    settings = replace(settings, carving=method)
+    lattice, views = settings.lattice(scene), scene.packed
+    volume = CarvingVolume.full(lattice)
+    asks = method.uses_test
     chosen = ""
     if pixel is not None:
         ray = voxels_on_ray(scene, volume, pixel)
-        carved = carve(scene, volume, settings, stages)
+        carved = kept_carving(scene, lattice, settings, kept).dense()
         hull, points = _matched(scene, carved, settings, stages)
         voxel, chosen = most_telling(scene, views, hull, ray)
         chosen += _background(scene, pixel)
     else:
         voxel = voxel_at(volume, at)
     boxes, _, _ = UnclaimedPixels(views, volume).footprints(np.array([voxel]))
-    watcher = VoxelWatcher(voxel, boxes[0], neighbour_offsets(_connectivity(settings)))
+    watcher = VoxelWatcher(voxel, boxes[0], neighbour_offsets(_connectivity(method)))
     if asks:
-        carved = carve(scene, volume, settings, observer=watcher)
+        carved = kept_carving(scene, lattice, settings, observer=watcher).dense()
     elif pixel is None:
-        carved = carve(scene, volume, settings, stages)
+        carved = kept_carving(scene, lattice, settings, kept).dense()
     if pixel is None:
         hull, points = _matched(scene, carved, settings, stages)
     evidence = view_evidence(scene, views, carved, watcher, asks=asks)
@@ -262,9 +279,10 @@ def _matched(
     scene: Scene, carved: CarvedVolume, settings: Settings, stages: Stages | None
 ) -> tuple[CarvedVolume, NDArray[np.float32] | None]:
     """Carved volume and, of a sharp result, points (n, 3): what matching leaves of it, with the degrees of carving."""
-    if settings.quality != "dense":
+    passes = settings.passes_for(scene)
+    if not passes:
         return carved, None
-    cloud, left = refine(scene, carved, stages=stages)
+    cloud, left = refine(scene, carved, passes=passes, stages=stages)
     distance = None if carved.distance is None else left.distance
     return replace(carved, volume=left.volume, labels=left.labels, distance=distance), cloud.point.positions.numpy()
 
@@ -299,5 +317,6 @@ def _history(judgements: tuple[Judgement, ...]) -> str:
     return ", ".join(f"{text} ({times} times)" if times > 1 else text for text, times in runs)
 
 
-def _connectivity(settings: Settings) -> Any:
-    return settings.method_options.get("connectivity", 26)
+def _connectivity(method: Method) -> Connectivity:
+    """Neighbours of a voxel that matter, all where no hysteresis decides."""
+    return method.connectivity if isinstance(method, JudgingMethod) else 26

@@ -39,7 +39,7 @@ def save(
         for name in mesh_formats
     }
     written["points"] = write_geometry(folder / "points.ply", result.points, confidence=result.confidence)
-    written["voxel grid"] = write_geometry(folder / "voxels.ply", result.carved.volume.to_voxel_grid())
+    written["voxel grid"] = write_geometry(folder / "voxels.ply", result.carved.to_voxel_grid())
     if pictures:
         written |= save_pictures(result.mesh, result.scene, folder)
     written["figures"] = write_json(folder / "record.json", record)

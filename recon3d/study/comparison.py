@@ -128,7 +128,7 @@ class Comparison(Summarised):
 
     def _title(self) -> str:
         c = self.conditions
-        return f"{c['scene']}, {c['settings']['method']}, {len(c['views'])} views, {c['voxels']:,} voxels"
+        return f"{c['scene']}, {c['settings']['carving']['name']}, {len(c['views'])} views, {c['voxels']:,} voxels"
 
     def _notes(self) -> str:
         left_out = self.conditions["left_out"]
@@ -184,7 +184,7 @@ def compare(
     VisibilityError, VolumeTooLargeError : as in ``reconstruct``.
     """
     entries = expand_variants(tests, sweep)
-    setup = set_up_trials(scene, settings, entries[0].test, leave_out, ground_truth, options)
+    setup = set_up_trials(scene, settings, leave_out, ground_truth, options)
     kept = _Kept(Path(folder) / "trials", setup.fingerprint()) if folder is not None else None
     report = progress or (lambda _stage, _done, _total: None)
     trials, rows = [], [setup.row("photographs", [view.image for view in setup.shown.views])]

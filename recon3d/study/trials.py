@@ -15,10 +15,9 @@ import open3d as o3d
 from numpy.typing import NDArray
 
 from recon3d._version import __version__
-from recon3d.carving import METHODS
+from recon3d.carving import GeneralizedVoxelColoring, JudgingMethod, VoxelColoring
 from recon3d.carving.visibility import spread_views
-from recon3d.consistency.base import ConsistencyTest
-from recon3d.errors import EmptyReconstructionError
+from recon3d.errors import ArgumentError, EmptyReconstructionError
 from recon3d.evaluation.distances import Evaluation, evaluate
 from recon3d.evaluation.photographs import measure_quality
 from recon3d.io.checkpoints import code_fingerprint
@@ -28,11 +27,11 @@ from recon3d.rendering.sheets import portrait
 from recon3d.result import Reconstruction
 from recon3d.scene.scene import Scene
 from recon3d.scene.view import View
-from recon3d.settings import Settings, choose_views
+from recon3d.settings import Settings, choose_views, method_name
 from recon3d.study.memory import peak_memory
 from recon3d.study.variants import Variant
 from recon3d.summary import labelled_row
-from recon3d.volume.dense import CarvingVolume
+from recon3d.volume.lattice import Lattice
 
 PICTURE_WIDTH = 200
 """Pixels of each picture on a contact sheet."""
@@ -86,7 +85,9 @@ class TrialSetup:
     shown: Scene
     """Views of the contact sheet."""
     settings: Settings
-    """Resolved, but for the test."""
+    """Resolved; the test of its method is replaced by each of those compared."""
+    method: JudgingMethod
+    """Of the settings."""
     voxels: int
     """Of the volume."""
     ground_truth: o3d.geometry.TriangleMesh | o3d.geometry.PointCloud | None
@@ -95,7 +96,7 @@ class TrialSetup:
 
     def run(self, entry: Variant, progress: Progress) -> tuple[Trial, NDArray[np.uint8]]:
         """Figures of a test, and its row of the contact sheet."""
-        settings = replace(self.settings, test=entry.test)
+        settings = replace(self.settings, carving=replace(self.method, test=entry.test))
         try:
             self._warm_up(settings)
             start = perf_counter()
@@ -119,9 +120,9 @@ class TrialSetup:
 
     def _warm_up(self, settings: Settings) -> None:
         """Let a test and what carves with it be compiled and loaded."""
-        small = CarvingVolume.enclosing(self.used.bounds, n_voxels=_WARM_UP_VOXELS)
+        small = Lattice.enclosing(self.used.bounds, n_voxels=_WARM_UP_VOXELS)
         with suppress(EmptyReconstructionError):
-            METHODS[settings.method].carve(self.used, small, settings.test, **settings.method_options)
+            settings.method_for(self.used).carve(self.used, small)
 
     def _measured(self, entry: Variant, result: Reconstruction, memory_mib: float | None) -> Trial:
         """Figures of a reconstruction."""
@@ -133,7 +134,7 @@ class TrialSetup:
             entry.label,
             entry.family,
             entry.value,
-            result.carved.volume.n_occupied,
+            result.carved.n_accepted,
             result.timings["carving"],
             memory_mib,
             holes=shape.boundary_loops + (shape.genus or 0),
@@ -156,7 +157,8 @@ class TrialSetup:
 
     def record(self) -> dict[str, Any]:
         """The conditions for a JSON file."""
-        plain = {name: value for name, value in self.settings.record().items() if name not in ("test", "views")}
+        plain = {name: value for name, value in self.settings.record().items() if name != "views"}
+        del plain["carving"]["options"]["test"]
         return {
             "recon3d": __version__,
             "scene": self.used.name,
@@ -190,18 +192,20 @@ class TrialSetup:
 def set_up_trials(
     scene: Scene,
     settings: Settings | None,
-    test: ConsistencyTest,
     leave_out: int | Sequence[str],
     ground_truth: o3d.geometry.TriangleMesh | o3d.geometry.PointCloud | None,
     options: Mapping[str, Any],
 ) -> TrialSetup:
     """Choose the views, and refuse what cannot be compared."""
-    settings = settings or Settings(method="voxel-coloring")
-    if settings.test is not None:
-        raise ValueError(f"expected settings without a test, since tests are compared, got {settings.test!r}")
+    settings = settings or Settings(carving=VoxelColoring())
+    method = settings.carving or GeneralizedVoxelColoring()
+    if not isinstance(method, JudgingMethod):
+        raise ArgumentError(f"{method_name(method)} uses no photo-consistency test, so there is nothing to compare")
+    if method.test != type(method)().test:
+        raise ArgumentError(f"expected a method with its own test, since tests are compared, got {method.test!r}")
     if options and ground_truth is None:
         raise ValueError(f"expected a ground truth for {', '.join(options)}")
-    resolved = replace(settings, test=test).resolved(scene)
+    resolved = replace(settings, carving=method).resolved(scene)
     admitted = choose_views(scene, replace(resolved, max_views=None))
     left_out = _left_out(scene, admitted, leave_out)
     names = [view.name for view in left_out]
@@ -214,8 +218,9 @@ def set_up_trials(
         used,
         left_out,
         replace(admitted, views=tuple(admitted.views[n] for n in chosen)),
-        replace(resolved, test=None, views="all", max_views=None),
-        CarvingVolume.enclosing(scene.bounds, voxel_size=resolved.voxel_size, n_voxels=resolved.n_voxels).occupied.size,
+        replace(resolved, views="all", max_views=None),
+        method,
+        resolved.lattice(scene).n_voxels,
         ground_truth,
         options,
     )

@@ -5,13 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
+import open3d as o3d
 from numpy.typing import NDArray
 
 from recon3d.summary import Summarised
 from recon3d.volume.dense import CarvingVolume
+from recon3d.volume.lattice import Lattice
 
 
 class Label(IntEnum):
@@ -27,6 +29,41 @@ class Label(IntEnum):
     """Behind accepted voxels in every view: inside the object, or in its shadow."""
     CONSISTENT = 4
     """Accepted and coloured."""
+
+
+class Carved(Protocol):
+    """What carving leaves, whether all voxels are stored or only those near the surface."""
+
+    @property
+    def lattice(self) -> Lattice:
+        """Where the voxels lie."""
+
+    @property
+    def n_accepted(self) -> int:
+        """Number of accepted voxels: those that some pixel sees, with their colours."""
+
+    def counts(self) -> dict[str, int]:
+        """Number of voxels with each label, by its name."""
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """All that is known beside the lattice, for a file."""
+
+    def to_voxel_grid(self) -> o3d.geometry.VoxelGrid:
+        """Open3D voxel grid of the coloured voxels, with the same origin, indices and colours."""
+
+    def dense(self) -> CarvedVolume:
+        """The same voxels, all stored.
+
+        Raises
+        ------
+        VolumeTooLargeError : they would not fit into the memory that is free now.
+        """
+
+    def summary(self) -> Mapping[str, object]:
+        """Table of what is left."""
+
+    def picture(self) -> NDArray[np.uint8]:
+        """What is left, seen along the three axes."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -46,8 +83,8 @@ class CarvedVolume(Summarised):
     left of it; world units, positive inside; None where the method knows none."""
 
     @classmethod
-    def untouched(cls, volume: CarvingVolume, distance: NDArray[np.float32] | None = None) -> CarvedVolume:
-        """Nothing judged and nothing accepted yet, on the lattice of a volume."""
+    def untouched(cls, volume: CarvingVolume | Lattice, distance: NDArray[np.float32] | None = None) -> CarvedVolume:
+        """Nothing judged and nothing accepted yet, on a lattice or that of a volume."""
         shape = volume.shape
         return cls(
             volume=CarvingVolume(
@@ -66,11 +103,29 @@ class CarvedVolume(Summarised):
         return {name: array for name, array in known.items() if array is not None}
 
     @classmethod
-    def from_arrays(cls, volume: CarvingVolume, arrays: Mapping[str, NDArray[Any]]) -> CarvedVolume:
-        """The hull that ``arrays`` were of, on the same lattice."""
+    def from_arrays(cls, lattice: Lattice, arrays: Mapping[str, NDArray[Any]]) -> CarvedVolume:
+        """The carved volume that ``arrays`` were of, on the same lattice."""
         found = dict(arrays)
-        volume = CarvingVolume(volume.origin, volume.voxel_size, found.pop("occupied"), found.pop("colors"))
+        volume = CarvingVolume(lattice.origin, lattice.voxel_size, found.pop("occupied"), found.pop("colors"))
         return cls(volume, **found)
+
+    @property
+    def lattice(self) -> Lattice:
+        """Where the voxels lie."""
+        return self.volume.lattice
+
+    @property
+    def n_accepted(self) -> int:
+        """Number of accepted voxels."""
+        return self.volume.n_occupied
+
+    def to_voxel_grid(self) -> o3d.geometry.VoxelGrid:
+        """Open3D voxel grid of the accepted voxels, with the same origin, indices and colours."""
+        return self.volume.to_voxel_grid()
+
+    def dense(self) -> CarvedVolume:
+        """Itself: all voxels are stored."""
+        return self
 
     @property
     def with_interior(self) -> CarvingVolume:

@@ -8,10 +8,10 @@ import numpy as np
 import open3d as o3d
 from numpy.typing import ArrayLike, NDArray
 
-from recon3d.errors import EmptyReconstructionError
+from recon3d.errors import ArgumentError, EmptyReconstructionError
 from recon3d.scene.bounds import Bounds
 from recon3d.summary import Summarised, thumbnails
-from recon3d.volume.lattice import BYTES_PER_VOXEL, check_memory, enclosing_lattice
+from recon3d.volume.lattice import BYTES_PER_VOXEL, Lattice, check_memory
 
 
 @dataclass(frozen=True, repr=False)
@@ -28,17 +28,15 @@ class CarvingVolume(Summarised):
     """(nx, ny, nz, 3) RGB; black where nothing is known."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "origin", np.asarray(self.origin, np.float64))
-        if self.origin.shape != (3,) or not np.isfinite(self.origin).all():
-            raise ValueError(f"expected an origin of three finite numbers, got {self.origin}")
-        if not (np.isfinite(self.voxel_size) and self.voxel_size > 0):
-            raise ValueError(f"expected a positive voxel size, got {self.voxel_size}")
         if self.occupied.ndim != 3 or self.occupied.dtype != np.bool_:
-            raise ValueError(f"expected a bool occupancy (nx, ny, nz), got {self.occupied.shape} {self.occupied.dtype}")
+            raise ArgumentError(
+                f"expected a bool occupancy (nx, ny, nz), got {self.occupied.shape} {self.occupied.dtype}"
+            )
         if self.colors.shape != (*self.occupied.shape, 3) or self.colors.dtype != np.uint8:
-            raise ValueError(
+            raise ArgumentError(
                 f"expected uint8 colours {(*self.occupied.shape, 3)}, got {self.colors.shape} {self.colors.dtype}"
             )
+        object.__setattr__(self, "origin", self.lattice.origin)
 
     @classmethod
     def enclosing(
@@ -54,22 +52,21 @@ class CarvingVolume(Summarised):
         ------
         VolumeTooLargeError : it would not fit into the memory that is free now.
         """
-        bounds = Bounds.of(bounds)
-        if n_voxels is not None and voxel_size is None:
-            if n_voxels < 1:
-                raise ValueError(f"expected at least one voxel, got {n_voxels}")
-            voxel_size = float((bounds.extent.prod() / n_voxels) ** (1 / 3))
-        elif voxel_size is None or n_voxels is not None:
-            raise ValueError("expected either voxel_size or n_voxels")
-        origin, shape = enclosing_lattice(bounds, voxel_size)
-        check_memory(float(np.prod(shape)) * BYTES_PER_VOXEL, shape, voxel_size)
-        nx, ny, nz = (int(n) for n in shape)
-        return cls(
-            origin=origin,
-            voxel_size=voxel_size,
-            occupied=np.ones((nx, ny, nz), np.bool_),
-            colors=np.zeros((nx, ny, nz, 3), np.uint8),
-        )
+        return cls.full(Lattice.enclosing(bounds, voxel_size=voxel_size, n_voxels=n_voxels))
+
+    @classmethod
+    def full(cls, volume: CarvingVolume | Lattice) -> CarvingVolume:
+        """Full volume on a lattice; a volume is returned as it is.
+
+        Raises
+        ------
+        VolumeTooLargeError : it would not fit into the memory that is free now.
+        """
+        if isinstance(volume, CarvingVolume):
+            return volume
+        volume.check_memory()
+        shape = volume.shape
+        return cls(volume.origin, volume.voxel_size, np.ones(shape, np.bool_), np.zeros((*shape, 3), np.uint8))
 
     @classmethod
     def from_voxel_grid(cls, grid: o3d.geometry.VoxelGrid, *, shape: ArrayLike | None = None) -> CarvingVolume:
@@ -81,7 +78,7 @@ class CarvingVolume(Summarised):
             them when None. Voxels of negative index, which Open3D allows, move the origin.
         """
         if not np.allclose(grid.rotation, np.eye(3)):
-            raise ValueError("expected an axis-aligned voxel grid, got a rotated one")
+            raise ArgumentError("expected an axis-aligned voxel grid, got a rotated one")
         voxels = grid.get_voxels()
         if not voxels:
             raise EmptyReconstructionError("the voxel grid holds no voxels")
@@ -91,7 +88,7 @@ class CarvingVolume(Summarised):
         needed = indices.max(axis=0) + 1
         size = needed if shape is None else np.asarray(shape, np.int64)
         if (size < needed).any():
-            raise ValueError(f"expected a shape of at least {tuple(needed)}, got {tuple(size)}")
+            raise ArgumentError(f"expected a shape of at least {tuple(needed)}, got {tuple(size)}")
         check_memory(float(np.prod(size, dtype=np.float64)) * BYTES_PER_VOXEL, size, grid.voxel_size)
         occupied = np.zeros(tuple(size), np.bool_)
         colors = np.zeros((*size, 3), np.uint8)
@@ -118,9 +115,14 @@ class CarvingVolume(Summarised):
         return nx, ny, nz
 
     @property
+    def lattice(self) -> Lattice:
+        """Where the voxels lie."""
+        return Lattice(self.origin, self.voxel_size, self.shape)
+
+    @property
     def bounds(self) -> Bounds:
         """Box of the whole lattice, world units."""
-        return Bounds(self.origin, self.origin + self.voxel_size * np.array(self.shape))
+        return self.lattice.bounds
 
     @property
     def n_occupied(self) -> int:

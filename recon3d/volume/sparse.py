@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import open3d as o3d
 from numpy.typing import ArrayLike, NDArray
 
-from recon3d.errors import EmptyReconstructionError
+from recon3d.errors import ArgumentError, EmptyReconstructionError
 from recon3d.kernels.bricks import BRICK, SOLID, copy_box, exposed_bricks, surface_voxels
 from recon3d.scene.bounds import Bounds
 from recon3d.summary import Summarised, thumbnails
-from recon3d.volume.dense import CarvingVolume
-from recon3d.volume.lattice import BAND, BYTES_PER_VOXEL, check_memory
+from recon3d.volume.carved import CarvedVolume, Label
+from recon3d.volume.lattice import BAND, Lattice
 
 
 @dataclass(frozen=True, repr=False)
 class SparseVolume(Summarised):
-    """A lattice like ``CarvingVolume``'s, of which only the bricks of 8 x 8 x 8 voxels near a surface are stored.
+    """A carved volume of which only the bricks of 8 x 8 x 8 voxels near the surface are stored.
 
     Every other brick is empty or solid throughout. All occupied voxels with an empty face neighbour are stored, so
     that memory grows with the surface and not with the volume.
@@ -44,21 +46,16 @@ class SparseVolume(Summarised):
     Cut off at 3 voxels, which is what it is in all bricks that are not stored."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "origin", np.asarray(self.origin, np.float64))
-        object.__setattr__(self, "shape", tuple(int(n) for n in self.shape))
-        if self.origin.shape != (3,) or not np.isfinite(self.origin).all():
-            raise ValueError(f"expected an origin of three finite numbers, got {self.origin}")
-        if not (np.isfinite(self.voxel_size) and self.voxel_size > 0):
-            raise ValueError(f"expected a positive voxel size, got {self.voxel_size}")
-        if len(self.shape) != 3 or min(self.shape) < 1:
-            raise ValueError(f"expected a shape of three positive numbers, got {self.shape}")
+        lattice = Lattice(self.origin, self.voxel_size, self.shape)
+        object.__setattr__(self, "origin", lattice.origin)
+        object.__setattr__(self, "shape", lattice.shape)
         grid = brick_grid(self.shape)
         if self.slots.shape != grid or self.slots.dtype != np.int32:
-            raise ValueError(f"expected int32 slots {grid}, got {self.slots.shape} {self.slots.dtype}")
+            raise ArgumentError(f"expected int32 slots {grid}, got {self.slots.shape} {self.slots.dtype}")
         stored = np.sort(self.slots[self.slots >= 0])
         n = len(self.occupied)
         if not np.array_equal(stored, np.arange(n)) or self.slots.min() < SOLID:
-            raise ValueError(f"expected each of the {n} stored bricks once in slots, and else -1 or -2")
+            raise ArgumentError(f"expected each of the {n} stored bricks once in slots, and else -1 or -2")
         voxels = (n, BRICK, BRICK, BRICK)
         for name, dtype, expected in (
             ("occupied", np.bool_, voxels),
@@ -68,16 +65,46 @@ class SparseVolume(Summarised):
         ):
             array = getattr(self, name)
             if array is not None and (array.shape != expected or array.dtype != dtype):
-                raise ValueError(f"expected {name} {expected} {dtype.__name__}, got {array.shape} {array.dtype}")
+                raise ArgumentError(f"expected {name} {expected} {dtype.__name__}, got {array.shape} {array.dtype}")
         exposed = np.zeros(grid, np.bool_)
         exposed_bricks(self.slots, self.occupied, exposed)
         if exposed.any():
-            raise ValueError(f"{np.count_nonzero(exposed)} solid bricks border on an empty voxel: they must be stored")
+            raise ArgumentError(
+                f"{np.count_nonzero(exposed)} solid bricks border on an empty voxel: they must be stored"
+            )
+
+    @property
+    def lattice(self) -> Lattice:
+        """Where the voxels lie."""
+        return Lattice(self.origin, self.voxel_size, self.shape)
 
     @property
     def bounds(self) -> Bounds:
         """Box of the whole lattice, world units."""
-        return Bounds(self.origin, self.origin + self.voxel_size * np.array(self.shape))
+        return self.lattice.bounds
+
+    @property
+    def n_accepted(self) -> int:
+        """Number of voxels that some pixel sees."""
+        return int(np.count_nonzero(self.visible))
+
+    def counts(self) -> dict[str, int]:
+        """Number of voxels with each label; what took the others away is not kept: all carved are "inconsistent"."""
+        numbers = dict.fromkeys(Label, 0)
+        numbers[Label.CONSISTENT] = self.n_accepted
+        numbers[Label.HIDDEN] = self.n_occupied - self.n_accepted
+        numbers[Label.INCONSISTENT] = self.lattice.n_voxels - self.n_occupied
+        return {label.name.lower(): number for label, number in numbers.items()}
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """All that is known beside the lattice, for a file."""
+        known = {name: getattr(self, name) for name in ("slots", "occupied", "visible", "colors", "distance")}
+        return {name: array for name, array in known.items() if array is not None}
+
+    @classmethod
+    def from_arrays(cls, lattice: Lattice, arrays: Mapping[str, NDArray[Any]]) -> SparseVolume:
+        """The volume that ``arrays`` were of, on the same lattice."""
+        return cls(lattice.origin, lattice.voxel_size, lattice.shape, **arrays)
 
     @property
     def bricks(self) -> NDArray[np.int64]:
@@ -131,18 +158,21 @@ class SparseVolume(Summarised):
         copy_box(self.slots, self.distance, start, -limit, limit, distance)
         return occupied, distance
 
-    def dense(self) -> CarvingVolume:
-        """The same voxels, all stored.
+    def dense(self) -> CarvedVolume:
+        """The same voxels, all stored; without degrees and views, and labelled as in ``counts``.
 
         Raises
         ------
         VolumeTooLargeError : they would not fit into the memory that is free now.
         """
-        check_memory(float(np.prod(self.shape, dtype=np.float64)) * BYTES_PER_VOXEL, self.shape, self.voxel_size)
-        colors = np.zeros((*self.shape, 3), np.uint8)
-        known = self.occupied & self.colors.any(axis=-1)
-        colors[tuple(self.voxels(known).T)] = self.colors[known]
-        return CarvingVolume(self.origin, self.voxel_size, self.box((0, 0, 0), self.shape)[0], colors)
+        self.lattice.check_memory()
+        occupied, distance = self.box((0, 0, 0), self.shape)
+        hull = CarvedVolume.untouched(self.lattice, distance)
+        hull.labels[...] = np.where(occupied, Label.HIDDEN, Label.INCONSISTENT)
+        visible = self.voxels(self.visible)
+        hull.set_labels(visible, Label.CONSISTENT)
+        hull.accept(visible, self.colors[self.visible])
+        return hull
 
     def to_voxel_grid(self) -> o3d.geometry.VoxelGrid:
         """Open3D voxel grid of the surface's voxels, with the same origin, indices and colours."""
