@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -184,6 +185,51 @@ def best_subsets_on_a_ring(centers: NDArray[np.float64]) -> tuple[int, float]:
     raise AssertionError
 
 
+CUBE = make_bounds([-1, -1, -1], [1, 1, 1])
+
+
+def dome(rings: list[float], n: int, radius: float = 5.0) -> NDArray[np.float64]:
+    """Rings of n cameras around the vertical axis at the given elevations, radians."""
+    turns = 2 * np.pi * np.arange(n) / n
+    return np.vstack(
+        [
+            radius * np.column_stack([np.cos(e) * np.cos(turns), np.cos(e) * np.sin(turns), np.full(n, np.sin(e))])
+            for e in rings
+        ]
+    )
+
+
+def awkward_scenes() -> dict[str, Scene]:
+    """Cameras in general position, in exact symmetry, in one plane, in one place, inside the box, level with it."""
+    rng = np.random.default_rng(8)
+    anywhere = rng.standard_normal((20, 3))
+    anywhere /= np.linalg.norm(anywhere, axis=1, keepdims=True)
+    aside = np.array([0, 0, 1e-13])  # look_at wants cameras outside the origin
+    around_cube = {
+        "a ring with exact ties": dome([0.0], 12),
+        "a far ring": dome([0.0], 20, 400.0),
+        "three rings": dome([0.1, 0.5, 0.9], 7),
+        "a ring level with the top": dome([0.0], 16) + np.array([0, 0, 1]),
+        "whole numbers": rng.integers(-3, 4, (20, 3)) + aside,
+        "whole numbers near the box": rng.integers(-2, 3, (20, 3)) + aside,
+        "whole numbers but for noise": rng.integers(-2, 3, (20, 3)) + 1e-9 * rng.standard_normal((20, 3)),
+        "a tilted plane": rng.integers(-5, 6, (18, 2)) @ np.array([[1.0, 0, 1], [0, 1, 0]]) + aside,
+        "a line": np.outer(rng.uniform(-5, 5, 15), [1, 0.3, 0.2]) + np.array([0, 3, 0.1]),
+    }
+    around = {
+        "a sphere": 4 * anywhere,
+        "a hemisphere": 4 * np.column_stack([anywhere[:, :2], abs(anywhere[:, 2])]),
+        "all distances": anywhere * rng.uniform(0.3, 5, (20, 1)),
+        "some inside": anywhere * rng.uniform(0.1, 2, (20, 1)),
+        "the same place twice": np.tile(4 * anywhere[:10], (2, 1)),
+        "nearly the same place": np.tile(4 * anywhere[:10], (2, 1)) + 1e-8 * rng.standard_normal((20, 3)),
+        "one place": np.tile(4 * anywhere[:1], (6, 1)),
+        "one wall": np.column_stack([rng.uniform(-3, 3, (20, 2)), np.full(20, 4.0)]),
+    }
+    scenes = {name: replace(scene_from(centers), bounds=CUBE) for name, centers in around_cube.items()}
+    return scenes | {name: scene_from(centers) for name, centers in around.items()}
+
+
 def test_a_limit_leaves_out_one_of_the_nearest_pair_first() -> None:
     scene = scene_from(np.array([[0.0, 0, 4], [0.01, 0, 4], [1.5, 0, 4], [-1.5, 0, 4]]))
     assert len(largest_admissible_views(scene)) == 4
@@ -191,6 +237,18 @@ def test_a_limit_leaves_out_one_of_the_nearest_pair_first() -> None:
     assert kept in (["v0", "v2", "v3"], ["v1", "v2", "v3"])
     assert len(spread_views(scene, 1).views) == 1
     assert [view.name for view in spread_views(scene, 9).views] == ["v0", "v1", "v2", "v3"]
+
+
+@pytest.mark.parametrize("name", awkward_scenes())
+def test_the_views_that_are_left_spread_are_those_of_measuring_all_gaps_anew(name: str) -> None:
+    scene = awkward_scenes()[name]
+    views = list(scene.views)
+    while len(views) > 1:
+        assert [view.name for view in spread_views(scene, len(views)).views] == [view.name for view in views]
+        centers = np.array([view.center for view in views])
+        gaps = np.linalg.norm(centers[:, None] - centers, axis=2)
+        gaps[np.diag_indices(len(views))] = np.inf
+        views.pop(int(gaps.min(axis=1).argmin()))
 
 
 def test_no_admissible_view_is_an_error() -> None:

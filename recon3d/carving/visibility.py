@@ -55,13 +55,18 @@ def sweep_direction(centers: NDArray[np.float64], corners: NDArray[np.float64]) 
 
 def spread_views(scene: Scene, count: int) -> Scene:
     """At most so many views of a scene: leaves out, one by one, the view whose camera is nearest to another's."""
-    views = list(scene.views)
-    while len(views) > max(count, 1):
-        centers = np.array([view.center for view in views])
-        gaps = np.linalg.norm(centers[:, None] - centers, axis=2)
-        gaps[np.diag_indices(len(views))] = np.inf
-        views.pop(int(gaps.min(axis=1).argmin()))
-    return replace(scene, views=tuple(views))
+    centers = scene.centers
+    gaps = np.array([np.linalg.norm(centers - center, axis=1) for center in centers])
+    np.fill_diagonal(gaps, np.inf)
+    kept, nearest = np.ones(len(centers), np.bool_), gaps.min(axis=1)
+    for _ in range(len(centers) - max(count, 1)):
+        dropped = int(nearest.argmin())
+        kept[dropped] = False
+        orphans = kept & (gaps[dropped] == nearest)
+        gaps[:, dropped] = np.inf
+        nearest[orphans] = gaps[orphans].min(axis=1)
+        nearest[dropped] = np.inf
+    return replace(scene, views=tuple(scene.views[n] for n in np.flatnonzero(kept)))
 
 
 def largest_admissible_views(scene: Scene) -> list[str]:
