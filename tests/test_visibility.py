@@ -1,13 +1,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import combinations
+from itertools import combinations, product
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scenes import plain_view, rotation
-from scipy.optimize import linprog, minimize
+from scipy.optimize import linprog, minimize, nnls
 
 from recon3d.carving.visibility import largest_admissible_views, require_sweep_direction, spread_views, sweep_direction
 from recon3d.errors import VisibilityError
@@ -108,6 +108,29 @@ def test_the_direction_does_not_depend_on_the_world_unit() -> None:
     assert microns is not None
     np.testing.assert_allclose(microns.direction, metres.direction, atol=1e-9)
     assert microns.margin == pytest.approx(1e6 * metres.margin, rel=1e-9)
+
+
+def margin_of_all_pairs(centers: NDArray[np.float64], corners: NDArray[np.float64]) -> float | None:
+    """Slow twin of sweep_direction: the least distance problem with every pair of camera and corner at once."""
+    differences = (corners[None] - centers[:, None]).reshape(-1, 3)
+    scale = np.abs(differences).max()
+    system = np.vstack([differences.T / scale, np.ones(len(differences))])
+    residual = system @ nnls(system, np.array([0.0, 0.0, 0.0, 1.0]))[0] - [0, 0, 0, 1]
+    if -residual[3] < 1e-12:
+        return None
+    return float((differences @ residual[:3]).min() / np.linalg.norm(residual[:3]))
+
+
+def test_few_pairs_of_camera_and_corner_decide_the_margin_of_all() -> None:
+    rng = np.random.default_rng(4)
+    lattice = np.stack(np.meshgrid(np.arange(-3, 4), np.arange(-3, 4)), axis=-1).reshape(-1, 2)
+    wall = np.column_stack([lattice, np.full(len(lattice), 4.0)])
+    worlds = [random_centers(rng, 200, spread) for spread in (0.1, 0.3, 0.4, 0.5, 5.0)]
+    for centers in [*worlds, wall, np.repeat(wall[:3], 50, axis=0), wall[:1] * [0, 0, 1], CORNERS[:1], CORNERS[:2] * 3]:
+        found, margin = sweep_direction(centers, CORNERS), margin_of_all_pairs(centers, CORNERS)
+        assert (found is None) == (margin is None)
+        if found:
+            assert found.margin == pytest.approx(margin, rel=1e-9)
 
 
 def test_a_camera_straight_before_a_face_sweeps_along_its_normal() -> None:
@@ -228,6 +251,69 @@ def awkward_scenes() -> dict[str, Scene]:
     }
     scenes = {name: replace(scene_from(centers), bounds=CUBE) for name, centers in around_cube.items()}
     return scenes | {name: scene_from(centers) for name, centers in around.items()}
+
+
+def best_of_all_crossings(scene: Scene) -> tuple[int, float]:
+    """Slow twin: size and margin of the best of all subsets that directions beside crossings of two limits admit.
+
+    Limits are the planes through the origin normal to corner - centre; eight directions are tried beside each crossing.
+    """
+    corners, centers = bounds_corners(scene.bounds), scene.centers
+    limits = (corners[None] - centers[:, None]).reshape(-1, 3)
+    limits = limits[(limits != 0).any(axis=1)]
+    limits /= np.linalg.norm(limits, axis=1, keepdims=True)
+    first, second = np.triu_indices(len(limits), 1)
+    crossings = np.cross(limits[first], limits[second])
+    length = np.linalg.norm(crossings, axis=1)
+    real = length > 1e-9
+    a, b, crossings = limits[first[real]], limits[second[real]], crossings[real] / length[real, None]
+    admitted = {}
+    for sign, s, t in product((1, -1), repeat=3):
+        directions = np.vstack([limits, sign * crossings + 1e-5 * (s * a + t * b)])
+        inside = directions @ centers.T < (directions @ corners.T).min(axis=1)[:, None]
+        packed = np.packbits(inside, axis=1)
+        admitted |= {row.tobytes(): subset for row, subset in zip(packed, inside, strict=True)}
+    subsets = sorted(admitted.values(), key=lambda subset: -subset.sum())
+    best, widest = 0, 0.0
+    for subset in subsets:
+        if subset.sum() < max(best, 1):
+            break
+        margin = margin_of_all_pairs(centers[subset], corners)
+        if margin:
+            best, widest = int(subset.sum()), max(widest, margin)
+    return best, widest
+
+
+@pytest.mark.parametrize("name", awkward_scenes())
+def test_walking_along_the_edges_finds_what_all_crossings_of_limits_find(name: str) -> None:
+    scene = awkward_scenes()[name]
+    names = largest_admissible_views(scene)
+    count, margin = best_of_all_crossings(scene)
+    assert len(names) == count
+    found = sweep_direction(scene.subset(names).centers, bounds_corners(scene.bounds))
+    assert found is not None
+    assert found.margin == pytest.approx(margin, rel=1e-9)
+
+
+def test_of_equal_margins_the_earliest_views_win() -> None:
+    around = np.array([[0.0, 0, 4], [4, 0, 0], [0, 0, -4], [-4, 0, 0]])
+    for turn in range(4):
+        scene = replace(scene_from(np.roll(around, turn, axis=0)), bounds=CUBE)
+        assert largest_admissible_views(scene) == ["v0", "v1"]
+
+
+def test_no_view_can_be_added_among_312_and_no_direction_of_many_admits_more() -> None:
+    rng = np.random.default_rng(312)
+    centers = random_centers(rng, 312, 5.0)
+    scene = scene_from(centers)
+    names = largest_admissible_views(scene)
+    chosen = [view.name in names for view in scene.views]
+    assert sweep_direction(scene.centers[chosen], CORNERS)
+    for n in np.flatnonzero(~np.array(chosen)):
+        assert sweep_direction(np.vstack([scene.centers[chosen], scene.centers[n]]), CORNERS) is None
+    directions = rng.standard_normal((20_000, 3))
+    admitted = directions @ scene.centers.T < (directions @ CORNERS.T).min(axis=1)[:, None]
+    assert 100 < admitted.sum(axis=1).max() <= len(names) < 312
 
 
 def test_a_limit_leaves_out_one_of_the_nearest_pair_first() -> None:
