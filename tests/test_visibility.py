@@ -208,7 +208,7 @@ def best_subsets_on_a_ring(centers: NDArray[np.float64]) -> tuple[int, float]:
     raise AssertionError
 
 
-CUBE = make_bounds([-1, -1, -1], [1, 1, 1])
+CUBE = Bounds([-1, -1, -1], [1, 1, 1])
 
 
 def dome(rings: list[float], n: int, radius: float = 5.0) -> NDArray[np.float64]:
@@ -258,7 +258,7 @@ def best_of_all_crossings(scene: Scene) -> tuple[int, float]:
 
     Limits are the planes through the origin normal to corner - centre; eight directions are tried beside each crossing.
     """
-    corners, centers = bounds_corners(scene.bounds), scene.centers
+    corners, centers = scene.bounds.corners, scene.centers
     limits = (corners[None] - centers[:, None]).reshape(-1, 3)
     limits = limits[(limits != 0).any(axis=1)]
     limits /= np.linalg.norm(limits, axis=1, keepdims=True)
@@ -290,7 +290,7 @@ def test_walking_along_the_edges_finds_what_all_crossings_of_limits_find(name: s
     names = largest_admissible_views(scene)
     count, margin = best_of_all_crossings(scene)
     assert len(names) == count
-    found = sweep_direction(scene.subset(names).centers, bounds_corners(scene.bounds))
+    found = sweep_direction(scene.subset(names).centers, scene.bounds.corners)
     assert found is not None
     assert found.margin == pytest.approx(margin, rel=1e-9)
 
