@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import html
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import cv2
 import numpy as np
@@ -74,7 +74,7 @@ def labelled_row(label: str, images: list[NDArray[np.uint8]], *, width: int) -> 
     return row
 
 
-def thumbnails(images: list[NDArray[np.uint8]], *, width: int, columns: int) -> NDArray[np.uint8]:
+def thumbnails(images: Iterable[NDArray[np.uint8]], *, width: int, columns: int) -> NDArray[np.uint8]:
     """One RGB picture of equally wide thumbnails, row by row, padded with white."""
     small = []
     for image in images:

@@ -112,7 +112,7 @@ def with_noise(scene: Scene, sigma: float, seed: int = 0) -> Scene:
 
     def noisy(view: View) -> View:
         image = np.clip(view.image + sigma * rng.standard_normal(view.image.shape), 0, 255).astype(np.uint8)
-        return replace(view, image=image)
+        return replace(view, photograph=image)
 
     return replace(scene, views=tuple(noisy(view) for view in scene.views))
 

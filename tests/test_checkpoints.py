@@ -157,7 +157,7 @@ def test_what_matters_to_a_stage_is_in_its_key(scene: Scene, tmp_path: Path) -> 
         assert stages is not None
         return stages.key
 
-    other = replace(scene.views[0], image=scene.views[0].image // 2)
+    other = replace(scene.views[0], photograph=scene.views[0].image // 2)
     darker = replace(scene, views=(other, *scene.views[1:]))
     different = [
         key(), key(darker), key(n_voxels=9000), key(n_voxels=None, voxel_size=0.2),
@@ -180,7 +180,7 @@ def test_a_fingerprint_tells_all_that_a_scene_is_made_of() -> None:
         made: dict[str, Any] = {"width": 6, "height": 4, "name": "a", "K": K, "mask": None, "unit": 1.0, "side": 1.0}
         made |= changes
         view = plain_view(made["K"], width=made["width"], height=made["height"], name=made["name"])
-        view = replace(view, silhouette=made["mask"])
+        view = replace(view, mask=made["mask"])
         return Scene((view,), Bounds([-1, -1, -1], [made["side"], 1, 1]), "scene", made["unit"])
 
     K = np.array([[5.0, 0, 2.5], [0, 5.0, 1.5], [0, 0, 1]])

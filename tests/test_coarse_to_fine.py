@@ -60,7 +60,7 @@ def scene_named(name: str, temple: BuiltInScene) -> Scene:
     if name == "cropped ball":  # parts of the volume lie outside of every image
         return replace(ball, views=tuple(cropped(view, 30, 36) for view in ball.views))
     rng = np.random.default_rng(7)  # outlines everywhere
-    views = tuple(replace(view, silhouette=rng.random((view.height, view.width)) < 0.995) for view in ball.views)
+    views = tuple(replace(view, mask=rng.random((view.height, view.width)) < 0.995) for view in ball.views)
     return replace(ball, views=views)
 
 
@@ -266,7 +266,7 @@ def test_a_hull_without_silhouettes_is_a_clear_error(temple: BuiltInScene) -> No
 
 
 def test_silhouettes_with_nothing_in_common_name_the_view_that_excludes_most(temple: BuiltInScene) -> None:
-    bad = replace(temple.scene.views[3], silhouette=np.zeros((120, 160), np.bool_))
+    bad = replace(temple.scene.views[3], mask=np.zeros((120, 160), np.bool_))
     scene = replace(temple.scene, views=(*temple.scene.views[:3], bad, *temple.scene.views[4:]))
     with pytest.raises(EmptyReconstructionError, match=rf"{bad.name} alone leaves 0\.0%"):
         FineVisualHull().carve(scene, Lattice.enclosing(scene.bounds, voxel_size=0.004))

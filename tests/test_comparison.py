@@ -202,7 +202,7 @@ def test_the_trade_off_is_precision_against_completeness_where_a_ground_truth_is
 
 def test_views_that_are_left_out_do_not_change_the_result(temple: recon3d.BuiltInScene) -> None:
     views = list(temple.scene.views)
-    views[3] = replace(views[3], image=views[3].image[::-1].copy())
+    views[3] = replace(views[3], photograph=views[3].image[::-1].copy())
     spoilt = replace(temple.scene, views=tuple(views))
     a, b = (
         recon3d.compare(scene, ["fuzzy"], settings=SETTINGS, leave_out=["view04*"]) for scene in (temple.scene, spoilt)
@@ -247,7 +247,7 @@ def test_other_inputs_are_another_trial(temple: recon3d.BuiltInScene, runs: list
     moved = o3d.geometry.TriangleMesh(temple.ground_truth).translate((1e-3, 0, 0))
     changes: list[dict[str, object]] = [
         {},
-        {"scene": replace(temple.scene, views=(replace(first, image=255 - first.image), *others))},
+        {"scene": replace(temple.scene, views=(replace(first, photograph=255 - first.image), *others))},
         {"scene": recon3d.without_silhouettes(temple.scene)},
         {"leave_out": 5},
         {"settings": replace(SETTINGS, n_voxels=5000)},

@@ -103,7 +103,7 @@ def test_a_cavity_without_an_opening_is_filled(view: View, volume: CarvingVolume
 def test_the_hull_of_a_field_is_what_is_positive_coloured_where_it_is_seen(view: View, volume: CarvingVolume) -> None:
     image = np.zeros_like(view.image)
     image[:, :20], image[:, 20:] = [200, 0, 0], [0, 100, 0]
-    scene = Scene((replace(view, image=image),), Bounds([0, 0, 0], [SIDE] * 3))
+    scene = Scene((replace(view, photograph=image),), Bounds([0, 0, 0], [SIDE] * 3))
     field = np.broadcast_to((np.arange(SIDE) - 5.5).astype(np.float64), volume.shape)
     hull = hull_of_field(field, np.full(volume.shape, Label.BACKGROUND), volume)
     assert (hull.labels[..., 6:] == Label.HIDDEN).all()

@@ -252,7 +252,7 @@ def test_silhouettes_exclude_by_the_voxels_centre_where_the_dense_methoddoes(met
 
 def test_a_view_without_silhouette_excludes_nothing() -> None:
     views = world().views
-    scene = replace(world(), views=(replace(views[0], silhouette=None), *views[1:]))
+    scene = replace(world(), views=(replace(views[0], mask=None), *views[1:]))
     hull = hull_of("visual-hull")
     for index in some_voxels(hull, Label.BACKGROUND, 4):
         place = hull.volume.origin + hull.volume.voxel_size * (index + 0.5)

@@ -11,8 +11,9 @@ from scenes import ball_mesh, cameras, photographs, plain, plain_view
 
 from recon3d.datasets.synthetic import BuiltInScene
 from recon3d.errors import DataError, SceneError
+from recon3d.io import open_scene
 from recon3d.io.files import write_image
-from recon3d.io.middlebury import is_middlebury, read_angles, read_bounds, read_middlebury, write_middlebury
+from recon3d.io.middlebury import is_middlebury, read_angles, read_bounds, write_middlebury
 from recon3d.scene.bounds import Bounds
 from recon3d.scene.scene import Scene
 
@@ -51,10 +52,10 @@ def change_par(folder: Path, change: Callable[[list[list[str]]], None]) -> None:
 
 def test_a_set_is_read_as_its_files_say(folder: Path) -> None:
     expected = photographs(ball_mesh(), plain, cameras(3))
-    scene = read_middlebury(folder, silhouettes="none")
+    scene = open_scene(folder, silhouettes="none")
     assert scene.name == folder.name
     assert scene.mm_per_unit == 1000.0
-    assert scene.notes == {"format": "Middlebury"}
+    assert scene.notes == {"format": "Middlebury", "source": str(folder), "silhouettes from": "none"}
     assert [view.name for view in scene.views] == ["toy0.png", "toy1.png", "toy2.png"]
     for view, original in zip(scene.views, expected.views, strict=True):
         np.testing.assert_array_equal(view.K, original.K)
@@ -67,7 +68,7 @@ def test_the_readmes_box_is_padded_by_a_hundredth_of_its_longest_side(folder: Pa
     tight = read_bounds(folder)
     assert tight.low == (-1.0, -1.05, -1.1)
     assert tight.high == (1.0, 1.05, 1.1)
-    padded = read_middlebury(folder).bounds
+    padded = open_scene(folder).bounds
     np.testing.assert_allclose(padded.low, [-1.022, -1.072, -1.122], atol=1e-12)
     np.testing.assert_allclose(padded.high, [1.022, 1.072, 1.122], atol=1e-12)
 
@@ -75,28 +76,28 @@ def test_the_readmes_box_is_padded_by_a_hundredth_of_its_longest_side(folder: Pa
 def test_bounds_that_are_given_are_taken_as_they_are(folder: Path) -> None:
     (folder / "README.txt").unlink()
     bounds = Bounds([-1.1, -1.1, -1.1], [1.15, 1.1, 1.1])
-    scene = read_middlebury(folder, bounds=bounds, mm_per_unit=10.0)
+    scene = open_scene(folder, bounds=bounds, mm_per_unit=10.0)
     assert scene.bounds == bounds
     assert scene.mm_per_unit == 10.0
 
 
 def test_the_count_line_may_be_absent(folder: Path) -> None:
     change_par(folder, lambda lines: lines.pop(0) and None)
-    assert len(read_middlebury(folder).views) == 3
+    assert len(open_scene(folder).views) == 3
 
 
 def test_blank_lines_do_not_count(folder: Path) -> None:
     path = folder / "toy_par.txt"
     path.write_text("\n" + path.read_text().replace("\n", "\n\n"))
-    assert len(read_middlebury(folder).views) == 3
+    assert len(open_scene(folder).views) == 3
 
 
 @pytest.mark.parametrize("name", ["toy_par.txt", "README.txt", "toy_ang.txt"])
 def test_windows_line_ends_are_read(folder: Path, name: str) -> None:
-    before = read_middlebury(folder)
+    before = open_scene(folder)
     path = folder / name
     path.write_bytes(path.read_bytes().replace(b"\n", b"\r\n"))
-    after = read_middlebury(folder)
+    after = open_scene(folder)
     assert [view.name for view in after.views] == [view.name for view in before.views]
     assert after.bounds == before.bounds
     assert read_angles(folder)["toy2.png"] == (17.0, 120.0)
@@ -127,7 +128,7 @@ def test_angles_are_read_and_optional(folder: Path) -> None:
     assert read_angles(folder) == {"toy0.png": (17.0, 0.0), "toy1.png": (17.0, 60.0), "toy2.png": (17.0, 120.0)}
     (folder / "toy_ang.txt").unlink()
     assert read_angles(folder) == {}
-    assert len(read_middlebury(folder).views) == 3
+    assert len(open_scene(folder).views) == 3
 
 
 @pytest.mark.parametrize("line", ["17.0 x toy1.png", "17.0 60"])
@@ -139,7 +140,7 @@ def test_a_malformed_line_of_angles_is_named(folder: Path, line: str) -> None:
 
 def test_silhouettes_are_made_from_the_dark_background(folder: Path) -> None:
     original = photographs(ball_mesh(), plain, cameras(3))
-    for view, exact in zip(read_middlebury(folder).views, original.views, strict=True):
+    for view, exact in zip(open_scene(folder).views, original.views, strict=True):
         assert view.silhouette is not None
         assert exact.silhouette is not None
         assert view.silhouette[exact.silhouette].all()
@@ -148,14 +149,14 @@ def test_silhouettes_are_made_from_the_dark_background(folder: Path) -> None:
 
 def test_only_good_images_get_a_silhouette(folder: Path) -> None:
     (folder / "toy_good_silhouette_images.txt").write_text("toy2.png\r\n\r\ntoy0.png\r\n")
-    known = [view.has_silhouette for view in read_middlebury(folder).views]
+    known = [view.has_silhouette for view in open_scene(folder).views]
     assert known == [True, False, True]
 
 
 def test_an_unknown_good_image_is_named(folder: Path) -> None:
     (folder / "toy_good_silhouette_images.txt").write_text("toy2.png\ntoy9.png\n")
     with pytest.raises(DataError, match=r"toy_good_silhouette_images\.txt:2: toy9\.png is not in the par file"):
-        read_middlebury(folder)
+        open_scene(folder)
 
 
 def test_a_folder_of_masks_is_used_when_it_lies_beside_or_is_named(folder: Path) -> None:
@@ -167,19 +168,19 @@ def test_a_folder_of_masks_is_used_when_it_lies_beside_or_is_named(folder: Path)
             write_image(folder / where / f"toy{n}.png", masks[where, n])
     choices: dict[str, dict[str, str | Path]] = {"silhouettes": {}, "others": {"silhouettes": folder / "others"}}
     for where, options in choices.items():
-        for n, view in enumerate(read_middlebury(folder, **options).views):  # type: ignore[arg-type]
+        for n, view in enumerate(open_scene(folder, **options).views):  # type: ignore[arg-type]
             np.testing.assert_array_equal(view.silhouette, masks[where, n])
-    background = read_middlebury(folder, silhouettes="threshold").views[0].silhouette
+    background = open_scene(folder, silhouettes="threshold").views[0].silhouette
     assert background is not None
     assert (background != masks["silhouettes", 0]).any()
 
 
 def test_a_folder_without_a_par_file_is_no_set(tmp_path: Path) -> None:
     assert not is_middlebury(tmp_path)
-    with pytest.raises(DataError, match=r"expected one file \*_par\.txt, found 0"):
-        read_middlebury(tmp_path)
-    with pytest.raises(DataError, match=r"nowhere: expected one file \*_par\.txt, found 0"):
-        read_middlebury(tmp_path / "nowhere")
+    with pytest.raises(DataError, match=r"not a known scene; expected a folder with a \*_par\.txt \(Middlebury\)"):
+        open_scene(tmp_path)
+    with pytest.raises(DataError, match=r"nowhere: no such file or folder"):
+        open_scene(tmp_path / "nowhere")
 
 
 def test_a_set_is_recognised_by_its_par_file(folder: Path) -> None:
@@ -190,19 +191,19 @@ def test_a_set_is_recognised_by_its_par_file(folder: Path) -> None:
 def test_two_par_files_are_an_error(folder: Path) -> None:
     (folder / "other_par.txt").write_text("")
     with pytest.raises(DataError, match="found 2"):
-        read_middlebury(folder)
+        open_scene(folder)
 
 
 def test_a_missing_image_is_named_with_its_line(folder: Path) -> None:
     (folder / "toy1.png").unlink()
     with pytest.raises(DataError, match=r"toy_par\.txt:3: image .*toy1\.png is missing"):
-        read_middlebury(folder)
+        open_scene(folder)
 
 
 def test_an_unreadable_image_is_named(folder: Path) -> None:
     (folder / "toy1.png").write_text("no image")
     with pytest.raises(DataError, match=r"toy1\.png: not a readable image"):
-        read_middlebury(folder)
+        open_scene(folder)
 
 
 def set_field(line: int, column: int, value: str) -> Callable[[list[list[str]]], None]:
@@ -240,13 +241,13 @@ def test_a_malformed_par_file_is_refused_with_file_and_line(
 ) -> None:
     change_par(folder, change)
     with pytest.raises((DataError, SceneError), match=message):
-        read_middlebury(folder)
+        open_scene(folder)
 
 
 def test_a_par_file_that_is_no_text_is_a_data_error(folder: Path) -> None:
     (folder / "toy_par.txt").write_bytes(b"3\ntoy\xff\xfe.png 1 2 3\n")
     with pytest.raises(DataError, match=r"toy_par\.txt"):
-        read_middlebury(folder)
+        open_scene(folder)
 
 
 def test_images_of_different_sizes_are_refused_with_file_and_line(folder: Path) -> None:
@@ -254,41 +255,41 @@ def test_images_of_different_sizes_are_refused_with_file_and_line(folder: Path) 
     with pytest.raises(
         DataError, match=r"toy_par\.txt:4: expected toy2\.png to have 48x36 pixels like toy0\.png, got 50x36"
     ):
-        read_middlebury(folder)
+        open_scene(folder)
 
 
 def test_a_missing_readme_is_an_error(folder: Path) -> None:
     (folder / "README.txt").unlink()
     with pytest.raises(DataError, match=r"expected a README\.txt with the bounding box; give bounds instead"):
-        read_middlebury(folder)
+        open_scene(folder)
 
 
 def test_a_readme_without_a_box_is_an_error(folder: Path) -> None:
     (folder / "README.txt").write_text("The box is (1 2 3) or so.\n")
     with pytest.raises(DataError, match=r"README\.txt: expected a bounding box '\(x y z\) \(x y z\)'"):
-        read_middlebury(folder)
+        open_scene(folder)
 
 
 def test_a_box_that_no_camera_sees_is_an_error(folder: Path) -> None:
     (folder / "README.txt").write_text(README.format(low="(90 90 90)", high="(91 91 91)"))
     with pytest.raises(SceneError, match="no camera sees the bounds"):
-        read_middlebury(folder)
+        open_scene(folder)
 
 
 def test_a_box_that_leaves_most_images_is_an_error(folder: Path) -> None:
     # Its centre is in view, its corners are not: they project to 72 / 6 * 3 = 36 pixels off.
     bounds = Bounds([-3, -3, -3], [3, 3, 3])
     with pytest.raises(SceneError, match="expected at least 4 of the bounding box's 8 corners inside most images"):
-        read_middlebury(folder, bounds=bounds)
+        open_scene(folder, bounds=bounds)
 
 
 def test_a_box_that_cuts_the_object_off_is_refused_in_a_readme_and_warned_of_when_given(folder: Path) -> None:
     shifted = Bounds([0, 0, -0.5], [1, 1, 0.5])
     with pytest.warns(UserWarning, match=r"the bounding box holds only .*% of the bright pixels"):
-        read_middlebury(folder, bounds=shifted)
+        open_scene(folder, bounds=shifted)
     (folder / "README.txt").write_text(README.format(low="(0 0 -0.5)", high="(1 1 0.5)"))
     with pytest.raises(SceneError, match=r"the bounding box holds only .*% of the bright pixels"):
-        read_middlebury(folder)
+        open_scene(folder)
 
 
 def assert_same_scene(a: Scene, b: Scene) -> None:
@@ -308,35 +309,32 @@ def assert_same_scene(a: Scene, b: Scene) -> None:
 def test_a_scene_makes_the_round_trip_exactly(temple: BuiltInScene, tmp_path: Path) -> None:
     written = write_middlebury(temple.scene, tmp_path / "set")
     assert written == tmp_path / "set"
-    assert_same_scene(read_middlebury(written), temple.scene)
+    assert_same_scene(open_scene(written), temple.scene)
 
 
 def test_a_scene_makes_the_round_trip_when_only_some_silhouettes_are_known(
     temple: BuiltInScene, tmp_path: Path
 ) -> None:
     views = list(temple.scene.views)
-    views[2] = replace(views[2], silhouette=None)
+    views[2] = replace(views[2], mask=None)
     scene = replace(temple.scene, views=tuple(views))
-    assert_same_scene(read_middlebury(write_middlebury(scene, tmp_path / "set")), scene)
+    assert_same_scene(open_scene(write_middlebury(scene, tmp_path / "set")), scene)
 
 
 def test_a_scene_makes_the_round_trip_when_a_views_name_holds_a_space(temple: BuiltInScene, tmp_path: Path) -> None:
     views = tuple(replace(view, name=f"my {view.name}") for view in temple.scene.views)
-    read = read_middlebury(write_middlebury(replace(temple.scene, views=views), tmp_path / "set"))
+    read = open_scene(write_middlebury(replace(temple.scene, views=views), tmp_path / "set"))
     assert len(read.views) == len(views)
 
 
 def test_views_whose_file_names_would_be_the_same_do_not_overwrite_each_other(tmp_path: Path) -> None:
     images: list[NDArray[np.uint8]] = [np.full((30, 40, 3), grey, np.uint8) for grey in (90, 200)]
     views = tuple(
-        replace(plain_view(name=name), image=image) for name, image in zip(("a.jpg", "a.ppm"), images, strict=True)
+        replace(plain_view(name=name), photograph=image) for name, image in zip(("a.jpg", "a.ppm"), images, strict=True)
     )
     scene = Scene(views, Bounds([-1, -1, -1], [1, 1, 1]))
-    try:
-        folder = write_middlebury(scene, tmp_path / "set")
-    except ValueError:
-        return
-    read = read_middlebury(folder, bounds=Bounds([-1.5, -1.2, -1], [1.5, 1.2, 1]), silhouettes="none")
+    folder = write_middlebury(scene, tmp_path / "set")
+    read = open_scene(folder, bounds=Bounds([-1.5, -1.2, -1], [1.5, 1.2, 1]), silhouettes="none")
     assert [view.image[0, 0, 0] for view in read.views] == [90, 200]
 
 
@@ -344,7 +342,7 @@ def test_views_whose_file_names_would_be_the_same_do_not_overwrite_each_other(tm
     ("name", "n_views", "good"), [("templeSparseRing", 16, 16), ("dinoSparseRing", 16, 15), ("templeRing", 47, 47)]
 )
 def test_real_sets_are_read(real_data: Path, name: str, n_views: int, good: int) -> None:
-    scene = read_middlebury(real_data / name)
+    scene = open_scene(real_data / name)
     assert len(scene.views) == n_views
     assert scene.name == name
     assert all((view.width, view.height) == (640, 480) for view in scene.views)
@@ -358,16 +356,16 @@ def test_real_sets_are_read(real_data: Path, name: str, n_views: int, good: int)
 
 def test_another_real_sets_box_is_refused_even_when_given(real_data: Path) -> None:
     with pytest.raises(SceneError, match="is this another set's box"):
-        read_middlebury(real_data / "templeSparseRing", bounds=read_bounds(real_data / "templeRing"))
+        open_scene(real_data / "templeSparseRing", bounds=read_bounds(real_data / "templeRing"))
     with pytest.raises(SceneError, match="is this another set's box"):
-        read_middlebury(real_data / "dinoSparseRing", bounds=Bounds([-0.4, -0.4, -0.4], [0.4, 0.4, 0.4]))
+        open_scene(real_data / "dinoSparseRing", bounds=Bounds([-0.4, -0.4, -0.4], [0.4, 0.4, 0.4]))
 
 
 def test_half_of_a_real_sets_box_is_warned_of_when_given(real_data: Path) -> None:
     whole = read_bounds(real_data / "templeSparseRing")
     half = Bounds(whole.low, np.subtract(whole.high, [0, whole.extent[1] / 2, 0]))
     with pytest.warns(UserWarning, match=r"holds only .*% of the bright pixels"):
-        scene = read_middlebury(real_data / "templeSparseRing", bounds=half)
+        scene = open_scene(real_data / "templeSparseRing", bounds=half)
     assert scene.bounds == half
 
 
@@ -377,7 +375,7 @@ def test_one_real_set_with_another_ones_readme_is_refused(real_data: Path, tmp_p
     (tmp_path / "README.txt").unlink()
     (tmp_path / "README.txt").symlink_to(real_data / "templeRing" / "README.txt")
     with pytest.raises(SceneError, match="is this another set's box"):
-        read_middlebury(tmp_path)
+        open_scene(tmp_path)
 
 
 def test_a_bright_background_is_told_from_a_wrong_box(temple: BuiltInScene, tmp_path: Path) -> None:
@@ -385,8 +383,8 @@ def test_a_bright_background_is_told_from_a_wrong_box(temple: BuiltInScene, tmp_
     for view in temple.scene.views:
         assert view.silhouette is not None
         image = np.where(view.silhouette[..., None], view.image, np.uint8(220))
-        views.append(replace(view, image=image, silhouette=None))
+        views.append(replace(view, photograph=image, mask=None))
     folder = write_middlebury(replace(temple.scene, views=tuple(views)), tmp_path / "bright")
     with pytest.raises(SceneError, match="a background that is not dark"):
-        read_middlebury(folder)
-    assert all(view.silhouette is None for view in read_middlebury(folder, silhouettes="none").views)
+        open_scene(folder)
+    assert all(view.silhouette is None for view in open_scene(folder, silhouettes="none").views)

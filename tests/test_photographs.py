@@ -113,7 +113,7 @@ def striped() -> tuple[o3d.geometry.TriangleMesh, recon3d.Scene]:
     for view in scene.views:
         rendering = renderer.render_view(view)
         image = np.rint(255 * rendering.colors).astype(np.uint8)
-        views.append(replace(view, image=image, silhouette=rendering.hit))
+        views.append(replace(view, photograph=image, mask=rendering.hit))
     return mesh, replace(scene, views=tuple(views))
 
 
@@ -135,7 +135,7 @@ def test_an_error_that_few_pixels_have_moves_the_mean_and_not_the_median(
     first = scene.views[0]
     image = first.image + np.uint8(10)
     image[:14] += np.uint8(40)
-    found = measure_quality(mesh, replace(scene, views=(replace(first, image=image),))).views[first.name]
+    found = measure_quality(mesh, replace(scene, views=(replace(first, photograph=image),))).views[first.name]
     assert first.silhouette is not None
     share = first.silhouette[:14].sum() / first.silhouette.sum()
     assert 0 < share < 0.5

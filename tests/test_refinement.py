@@ -215,14 +215,14 @@ def test_a_view_without_neighbours_and_a_black_one_do_no_harm(ball: Scene, hull:
     matcher = Matcher(lonely, mesh_volume(hull.with_interior, distance=hull.distance), QUICK[0])
     assert matcher.neighbours[-1] == []
     assert (matcher.depth_map(6).costs == 2).all()
-    dark = replace(ball.views[2], image=np.zeros_like(ball.views[2].image))
+    dark = replace(ball.views[2], photograph=np.zeros_like(ball.views[2].image))
     black = with_views(ball, [*ball.views[:2], dark, *ball.views[3:]])
     for scene in (lonely, black):
         assert_on_ball(refine(scene, hull, passes=QUICK).points, ball, at_least=3000)
 
 
 def test_views_that_agree_on_nothing_are_an_error(ball: Scene, hull: CarvedVolume) -> None:
-    dark = with_views(ball, [replace(view, image=np.zeros_like(view.image)) for view in ball.views])
+    dark = with_views(ball, [replace(view, photograph=np.zeros_like(view.image)) for view in ball.views])
     with pytest.raises(EmptyReconstructionError, match="no two views agree on any point; 0 pixels found a match"):
         refine(dark, hull, passes=QUICK)
 

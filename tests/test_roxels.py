@@ -44,7 +44,7 @@ def wall_behind_a_pane(opacity: float) -> Scene:
     views = []
     for without, with_pane in zip(bare.views, covered.views, strict=True):
         mixed = (1 - opacity) * without.image.astype(float) + opacity * with_pane.image
-        views.append(replace(with_pane, image=np.rint(mixed).astype(np.uint8)))
+        views.append(replace(with_pane, photograph=np.rint(mixed).astype(np.uint8)))
     return replace(covered, views=tuple(views), bounds=Bounds([-1.8, -1.4, -1.1], [1.8, 1.4, 1.1]))
 
 

@@ -30,7 +30,7 @@ WIDE = Bounds([-9, -9, -3], [9, 9, 3])  # fills the image of plain_view
 def scene_with(image: NDArray[np.uint8]) -> Scene:
     """One view of the image, bounds that fill it."""
     view = plain_view(width=image.shape[1], height=image.shape[0], name="a.png")
-    return Scene((replace(view, image=image),), WIDE)
+    return Scene((replace(view, photograph=image),), WIDE)
 
 
 def blob_image() -> NDArray[np.uint8]:
@@ -126,7 +126,7 @@ def test_a_silhouette_that_touches_the_border_stays_attached() -> None:
 
 
 def test_only_the_named_views_get_a_silhouette() -> None:
-    views = tuple(replace(plain_view(name=name), silhouette=np.ones((30, 40), np.bool_)) for name in "abc")
+    views = tuple(replace(plain_view(name=name), mask=np.ones((30, 40), np.bool_)) for name in "abc")
     treated = with_threshold_silhouettes(Scene(views, WIDE), only={"b"})
     assert [view.has_silhouette for view in treated.views] == [False, True, False]
 
@@ -140,7 +140,7 @@ def test_the_silhouette_is_cut_to_the_projected_bounds() -> None:
     rows, columns = np.flatnonzero(silhouette.any(axis=1)), np.flatnonzero(silhouette.any(axis=0))
     np.testing.assert_allclose([columns[0], columns[-1]], [39.5 - 10.2, 39.5 + 10.2], atol=2)
     np.testing.assert_allclose([rows[0], rows[-1]], [29.5 - 5.1, 29.5 + 5.1], atol=2)
-    np.testing.assert_array_equal(silhouette, bounds_mask(scene, scene.views[0]))
+    np.testing.assert_array_equal(silhouette, bounds_mask(scene.bounds, scene.views[0]))
 
 
 def test_every_point_of_the_bounds_projects_into_their_mask(temple: BuiltInScene) -> None:
@@ -155,12 +155,12 @@ def test_every_point_of_the_bounds_projects_into_their_mask(temple: BuiltInScene
             points[::2, 0] = scene.bounds.high[0]
             points[::4, 2] = scene.bounds.high[2]
             u, v = np.rint(view.project(points[view.sees(points)])[0]).astype(int).T
-            assert bounds_mask(scene, view)[v, u].all()
+            assert bounds_mask(scene.bounds, view)[v, u].all()
 
 
 def test_bounds_that_reach_behind_the_camera_fill_the_mask() -> None:
     scene = Scene((plain_view(),), Bounds([-1, -1, -20], [1, 1, 1]))
-    assert bounds_mask(scene, scene.views[0]).all()
+    assert bounds_mask(scene.bounds, scene.views[0]).all()
 
 
 @pytest.mark.parametrize("level", [0.0, 1.0, -0.2, float("nan")])
@@ -238,7 +238,7 @@ def test_the_overlay_tints_the_background_and_outlines_the_bounds() -> None:
     silhouette = np.zeros((60, 80), np.bool_)
     silhouette[:, :40] = True
     image = np.full((60, 80, 3), 100, np.uint8)
-    view = replace(plain_view(width=80, height=60, name="a.png"), image=image, silhouette=silhouette)
+    view = replace(plain_view(width=80, height=60, name="a.png"), photograph=image, mask=silhouette)
     scene = Scene((view,), Bounds([-1, -1, -0.1], [1, 1, 0.1]))
     picture = overlay(scene, view)
     assert picture[5, 5].tolist() == [100, 100, 100]
@@ -266,7 +266,7 @@ def test_a_dark_part_inside_the_object_stays_in_its_segment() -> None:
     scene = photographs(ball_mesh(), plain, cameras(1, width=160, height=120))
     image = scene.views[0].image.copy()
     image[58:62, 78:82] = 12
-    segmented = with_segmented_silhouettes(replace(scene, views=(replace(scene.views[0], image=image),)))
+    segmented = with_segmented_silhouettes(replace(scene, views=(replace(scene.views[0], photograph=image),)))
     assert segmented.views[0].silhouette is not None
     assert segmented.views[0].silhouette[58:62, 78:82].all()
 

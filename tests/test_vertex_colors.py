@@ -165,7 +165,7 @@ def test_highlights_in_a_minority_of_views_leave_no_trace() -> None:
         image = views[n].image.copy()
         for u, v in rng.integers([60, 40], [100, 80], (8, 2)):
             image[v - 4 : v + 5, u - 4 : u + 5] = 255
-        views[n] = replace(views[n], image=image)
+        views[n] = replace(views[n], photograph=image)
     shining = color(mesh, replace(scene, views=tuple(views)))
     seen = support > 2
     struck = np.zeros(len(seen), np.bool_)
@@ -209,7 +209,7 @@ def test_a_steep_plane_has_no_edges_and_a_step_has() -> None:
     plane = o3d.geometry.TriangleMesh(
         o3d.utility.Vector3dVector(corners), o3d.utility.Vector3iVector(np.array([[0, 1, 2], [0, 2, 3]], np.int32))
     )
-    unmasked = replace(scene, views=(replace(view, silhouette=None),))
+    unmasked = replace(scene, views=(replace(view, mask=None),))
     trust = _trust(RayCaster(plane), unmasked, unmasked.packed)
     assert (trust == 1).mean() > 0.99
     ball = _trust(RayCaster(mesh), unmasked, unmasked.packed)
@@ -226,7 +226,7 @@ def test_colours_flow_to_where_no_view_looks() -> None:
     both = mesh + inner
     both.compute_vertex_normals()
     scene = photographs(both, taken_by=cameras(6, arc=360, width=96, height=72))
-    scene = replace(scene, views=tuple(replace(view, image=np.full_like(view.image, 120)) for view in scene.views))
+    scene = replace(scene, views=tuple(replace(view, photograph=np.full_like(view.image, 120)) for view in scene.views))
     colored, support = color(both, scene), VertexVisibility.of(both, scene).n_views
     assert 0 < (support == 0).sum() < len(support)
     assert (support[len(mesh.vertices) :] == 0).all()
@@ -274,7 +274,7 @@ def test_a_surface_that_no_view_shows_has_no_colours() -> None:
 
 def test_without_silhouettes_colours_come_out_nearly_the_same() -> None:
     mesh, scene = ball_scene()
-    unmasked = replace(scene, views=tuple(replace(view, silhouette=None) for view in scene.views))
+    unmasked = replace(scene, views=tuple(replace(view, mask=None) for view in scene.views))
     one, other, support = color(mesh, scene), color(mesh, unmasked), VertexVisibility.of(mesh, scene).n_views
     difference = np.abs(np.asarray(one.vertex_colors) - np.asarray(other.vertex_colors)).max(axis=1)
     facing = np.max([towards(mesh, view.center) for view in scene.views], axis=0) > 0.4

@@ -93,7 +93,7 @@ def test_the_hull_of_a_ball_is_round_to_a_fraction_of_a_voxel(ball: Scene) -> No
 def test_a_wrong_silhouette_is_tolerated(temple: BuiltInScene) -> None:
     scene = temple.scene
     view = scene.views[0]
-    broken = replace(view, silhouette=np.zeros((view.height, view.width), np.bool_))
+    broken = replace(view, mask=np.zeros((view.height, view.width), np.bool_))
     wrong = replace(scene, views=(broken, *scene.views[1:]))
     volume = volume_of(scene, 30_000)
     with pytest.raises(EmptyReconstructionError, match=r"view01\.png alone leaves 0\.0%"):

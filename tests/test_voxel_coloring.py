@@ -53,7 +53,7 @@ def world(name: str) -> Scene:
     if name == "box, some silhouettes, one view cropped":
         scene = with_noise(photographs(box_mesh(1.5, 1.2, 1.4), taken_by=cameras(5)), 8.0, seed=3)
         views = list(scene.views)
-        views[1] = replace(views[1], silhouette=None)
+        views[1] = replace(views[1], mask=None)
         views[3] = cropped(views[3], 26, 20)
         return replace(scene, views=tuple(views))
     if name == "grainy planes":
@@ -265,7 +265,7 @@ MESHES = {"ball": ball_mesh(), "box": box_mesh(1.5, 1.2, 1.4), "two planes": two
 def test_the_background_never_carves_a_voxel_that_holds_a_part_of_the_object(name: str, n_voxels: int) -> None:
     scene = photographs(MESHES[name], taken_by=cameras(6), supersampling=4)
     # A footprint is made of whole pixels, so what a voxel shows may lie in a pixel next to it: one pixel of margin.
-    views = tuple(replace(view, silhouette=binary_dilation(view.silhouette, ONE_PIXEL)) for view in scene.views)
+    views = tuple(replace(view, mask=binary_dilation(view.silhouette, ONE_PIXEL)) for view in scene.views)
     scene = replace(scene, views=views, bounds=Bounds([-1.6] * 3, [1.6] * 3))
     volume = CarvingVolume.enclosing(scene.bounds, n_voxels=n_voxels)
     hull = VoxelColoring().carve(scene, volume)

@@ -177,7 +177,7 @@ def info(
         known = "silhouette" if view.has_silhouette else "no silhouette"
         typer.echo(f"  {view.name:24} {use:6} {known:14} {angle}".rstrip())
     if output:
-        sheet = thumbnails([overlay(loaded, view) for view in loaded.views], width=320, columns=4)
+        sheet = thumbnails((overlay(loaded, view) for view in loaded.views), width=320, columns=4)
         say({"silhouettes and bounds": write_image(output / "views.png", sheet)})
 
 

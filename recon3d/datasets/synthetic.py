@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import manifold3d as m3d
@@ -15,6 +15,8 @@ from scipy.ndimage import map_coordinates
 from recon3d.rendering.orbit import look_at
 from recon3d.rendering.renderer import Renderer, pixel_rays
 from recon3d.scene.bounds import Bounds
+from recon3d.scene.camera import Camera
+from recon3d.scene.photograph import Photograph
 from recon3d.scene.scene import Scene
 from recon3d.scene.view import View
 
@@ -24,16 +26,6 @@ Texture = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 _LIGHTS = ((np.array([0.5, -0.6, 0.62]), 0.45), (np.array([-0.7, 0.5, 0.5]), 0.3))  # direction to, strength
 _AMBIENT = 0.35
 _NOTES = {"format": "built in", "source": "little-temple"}
-
-
-@dataclass(frozen=True)
-class Camera:
-    """Where a photograph is taken from: K (3, 3), cam_from_world (4, 4), size in pixels."""
-
-    K: NDArray[np.float64]
-    cam_from_world: NDArray[np.float64]
-    width: int
-    height: int
 
 
 @dataclass(frozen=True)
@@ -134,11 +126,7 @@ def photograph(
         size = (camera.width, camera.height)
         image = np.rint(255 * np.clip(cv2.resize(radiance, size, interpolation=cv2.INTER_AREA), 0, 1)).astype(np.uint8)
         coverage = cv2.resize(rendering.hit.astype(np.float32), size, interpolation=cv2.INTER_AREA)
-        views.append(
-            View.from_matrices(
-                camera.K, camera.cam_from_world, image, silhouette=coverage > 0, name=f"view{n + 1:02d}.png"
-            )
-        )
+        views.append(View(camera, image, coverage > 0, f"view{n + 1:02d}.png"))
     return Scene(tuple(views), Bounds.of(mesh.get_axis_aligned_bounding_box()), "photographs")
 
 
@@ -228,5 +216,5 @@ def _with_sensor(scene: Scene, noise: float, light_change: float, seed: int) -> 
         gain = max(1 + light_change * rng.standard_normal(), 0.1)
         signal = gain * view.image + noise * rng.standard_normal(view.image.shape)
         image = np.rint(np.clip(signal, 0, 255)).astype(np.uint8)
-        views.append(View(view.camera, image, view.silhouette, view.name))
-    return Scene(tuple(views), scene.bounds, scene.name, scene.mm_per_unit, scene.notes)
+        views.append(replace(view, photograph=Photograph(image)))
+    return replace(scene, views=tuple(views))

@@ -12,6 +12,7 @@ from recon3d.io.geometry import read_mesh, write_geometry
 from recon3d.rendering.renderer import Renderer
 from recon3d.rendering.sheets import comparison_sheet, turntable
 from recon3d.reporting.error_map import error_map
+from recon3d.scene.names import file_stems
 from recon3d.scene.scene import Scene
 
 
@@ -58,8 +59,9 @@ def save_pictures(
         "turntable": write_image(folder / "turntable.png", turntable(scene, renderer)),
     }
     if every_view:
+        stems = file_stems(scene)
         for view in scene.views:
             for mode, picture in renderer.render_view(view).pictures().items():
-                write_image(folder / "views" / f"{Path(view.name).stem}_{mode}.png", picture)
+                write_image(folder / "views" / f"{stems[view.name]}_{mode}.png", picture)
         written["views"] = folder / "views"
     return written

@@ -1,6 +1,10 @@
 """Calibrated photographs of one object."""
 
 from recon3d.scene.bounds import Bounds
+from recon3d.scene.camera import Camera
+from recon3d.scene.mask import Mask
+from recon3d.scene.photograph import Photograph
+from recon3d.scene.pixel_cache import PIXELS
 from recon3d.scene.scene import Scene
 from recon3d.scene.silhouettes import (
     with_mask_files,
@@ -11,7 +15,11 @@ from recon3d.scene.silhouettes import (
 from recon3d.scene.view import View
 
 __all__ = [
+    "PIXELS",
     "Bounds",
+    "Camera",
+    "Mask",
+    "Photograph",
     "Scene",
     "View",
     "with_mask_files",

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from os import cpu_count
 
 import cv2
 import numpy as np
@@ -12,7 +14,10 @@ from recon3d.scene.view import View
 
 
 class PackedViews:
-    """Views of different sizes as stacked arrays, padded at the right and below; made once, never changed."""
+    """Views at a scale, of different sizes, as stacked arrays, padded at the right and below; never changed.
+
+    Pixels and matrices are those of the scaled photographs.
+    """
 
     images: NDArray[np.uint8]
     """(n_views, height, width, 3) RGB."""
@@ -31,19 +36,28 @@ class PackedViews:
     focals: NDArray[np.float64]
     """(n_views,) focal lengths, pixels."""
 
-    def __init__(self, views: Sequence[View]) -> None:
-        height, width = max(view.height for view in views), max(view.width for view in views)
+    def __init__(self, views: Sequence[View], scale: float = 1.0) -> None:
+        cameras = [view.calibration.at(scale) for view in views]
+        height, width = max(camera.height for camera in cameras), max(camera.width for camera in cameras)
         self.images = np.zeros((len(views), height, width, 3), np.uint8)
         self.foreground = np.zeros((len(views), height, width), np.bool_)
-        for n, view in enumerate(views):
-            self.images[n, : view.height, : view.width] = view.image
-            self.foreground[n, : view.height, : view.width] = True if view.silhouette is None else view.silhouette
-        self.integrals = np.stack([cv2.integral(mask.astype(np.uint8)) for mask in self.foreground])
-        self.sizes = np.array([(view.width, view.height) for view in views])
-        self.projections = np.stack([view.projection for view in views])
+
+        def fill(n: int) -> None:
+            silhouette = views[n].silhouette_at(scale)
+            part = np.s_[n, : cameras[n].height, : cameras[n].width]
+            self.images[part] = views[n].image_at(scale)
+            self.foreground[part] = True if silhouette is None else silhouette
+
+        with ThreadPoolExecutor(cpu_count()) as pool:  # decoding and OpenCV release the interpreter lock
+            list(pool.map(fill, range(len(views))))
+        self.integrals = np.stack([cv2.integral(mask.view(np.uint8)) for mask in self.foreground])
+        self.sizes = np.array([(camera.width, camera.height) for camera in cameras])
+        self.projections = np.stack([camera.K @ camera.cam_from_world[:3] for camera in cameras])
         self.centers = np.stack([view.center for view in views])
-        self.world_from_pixel = np.stack([view.cam_from_world[:3, :3].T @ np.linalg.inv(view.K) for view in views])
-        self.focals = np.array([np.sqrt(abs(np.linalg.det(view.K[:2, :2]))) for view in views])
+        self.world_from_pixel = np.stack(
+            [camera.cam_from_world[:3, :3].T @ np.linalg.inv(camera.K) for camera in cameras]
+        )
+        self.focals = np.array([np.sqrt(abs(np.linalg.det(camera.K[:2, :2]))) for camera in cameras])
         for array in vars(self).values():
             array.setflags(write=False)
 

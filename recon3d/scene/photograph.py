@@ -2,26 +2,103 @@
 
 from __future__ import annotations
 
+import hashlib
+from dataclasses import dataclass, field
+from itertools import count
 from pathlib import Path
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from recon3d.errors import DataError
+from recon3d.scene.camera import Camera, scaled_size
+from recon3d.scene.image_file import ImageFile
+from recon3d.scene.pixel_cache import PIXELS
+from recon3d.values import ByContent
+
+_SERIAL = count()
 
 
-def read_image(path: Path | str) -> NDArray[np.uint8]:
-    """Read an image as (height, width, 3) RGB.
+@dataclass(frozen=True, init=False, eq=False)
+class Photograph(ByContent):
+    """A photograph in a file, of which only the header is read at first, or in memory.
+
+    Pixels are kept by the process's ``PIXELS``, not by the photograph. It is read upright, as its EXIF orientation
+    says, and so K, width and height are those of the upright picture.
 
     Raises
     ------
-    DataError : missing or unreadable.
+    DataError : the file is missing or unreadable.
+    ValueError : an array is no (height, width, 3) uint8 RGB image.
     """
-    path = Path(path)
-    if not path.is_file():
-        raise DataError(f"{path}: no such image")
-    image = cv2.imread(str(path), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
-    if image is None:
-        raise DataError(f"{path}: not a readable image")
-    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), np.uint8)
+
+    source: ImageFile | NDArray[np.uint8] = field(repr=False)
+    """File, or (height, width, 3) RGB."""
+
+    def __init__(self, source: Path | str | ImageFile | NDArray[np.uint8], *, stored_orientation: bool = False) -> None:
+        if isinstance(source, (str, Path)):
+            source = ImageFile(Path(source), stored_orientation)
+        if isinstance(source, np.ndarray):
+            if source.dtype != np.uint8 or source.ndim != 3 or source.shape[2] != 3:
+                raise ValueError(f"expected an (height, width, 3) uint8 RGB image, got {source.shape} {source.dtype}")
+            source = source.view()
+            source.setflags(write=False)
+        object.__setattr__(self, "source", source)
+        self._identify()
+
+    def __setstate__(self, state: dict[str, object]) -> None:
+        self.__dict__.update(state)
+        self._identify()
+
+    def _identify(self) -> None:
+        """Number arrays, so that the cache tells them apart."""
+        object.__setattr__(self, "_serial", next(_SERIAL))
+
+    @classmethod
+    def of(cls, source: Photograph | Path | str | NDArray[np.uint8]) -> Photograph:
+        """The photograph itself, or that of a file or of an array."""
+        return source if isinstance(source, Photograph) else cls(source)
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height; reads no pixels."""
+        if isinstance(self.source, ImageFile):
+            return self.source.size
+        return self.source.shape[1], self.source.shape[0]
+
+    def read(self, scale: float = 1.0, *, camera: Camera | None = None) -> NDArray[np.uint8]:
+        """(height, width, 3) RGB, read-only; below a scale of one each pixel is the mean of what it covers.
+
+        Parameters
+        ----------
+        camera : what the lens distorted is undone first; pixels that the photograph does not show continue its border.
+        """
+        size = scaled_size(*self.size, scale)
+        distorted = camera is not None and bool(camera.distortion)
+        if isinstance(self.source, np.ndarray) and size == self.size and not distorted:
+            return self.source
+        key = ("photograph", self._version(), camera if distorted else None)
+
+        def whole() -> NDArray[np.uint8]:
+            stored = self.source.decode() if isinstance(self.source, ImageFile) else self.source
+            return camera.undistorted(stored) if camera is not None else stored
+
+        def smaller() -> NDArray[np.uint8]:
+            pixels = PIXELS.get((*key, self.size), whole, keep=False)
+            return np.asarray(cv2.resize(pixels, size, interpolation=cv2.INTER_AREA), np.uint8)
+
+        return PIXELS.get((*key, size), whole if size == self.size else smaller)
+
+    def fingerprint(self) -> str:
+        """Text that two photographs share only where they are the same, from the file's bytes or the array."""
+        if isinstance(self.source, ImageFile):
+            return self.source.fingerprint()
+        return array_fingerprint(self.source)
+
+    def _version(self) -> object:
+        return self.source.version() if isinstance(self.source, ImageFile) else vars(self)["_serial"]
+
+
+def array_fingerprint(array: NDArray[np.generic]) -> str:
+    """Digest of an array's shape and content."""
+    return f"{array.shape} {hashlib.sha256(array.tobytes()).hexdigest()}"

@@ -6,7 +6,6 @@ import fnmatch
 import hashlib
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,10 +15,13 @@ from recon3d.scene.bounds import Bounds
 from recon3d.scene.packed import PackedViews
 from recon3d.scene.view import View
 from recon3d.summary import Summarised, thumbnails
+from recon3d.values import ByContent, Once
+
+_PICTURED = 48  # photographs at most
 
 
-@dataclass(frozen=True, repr=False)
-class Scene(Summarised):
+@dataclass(frozen=True, repr=False, eq=False)
+class Scene(ByContent, Summarised):
     """Calibrated views of one object, the box that holds it, and what a world unit means."""
 
     views: tuple[View, ...]
@@ -32,6 +34,7 @@ class Scene(Summarised):
     """Millimetres in one world unit; 1000: the world is in metres."""
     notes: dict[str, str] = field(default_factory=dict)
     """Where it came from, for tables and the run's record."""
+    _packings: dict[float, Once[PackedViews]] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "views", tuple(self.views))
@@ -59,6 +62,9 @@ class Scene(Summarised):
         corners = self.bounds.corners
         return np.array([int(view.sees(corners).sum()) for view in self.views])
 
+    def __getstate__(self) -> dict[str, object]:
+        return {**super().__getstate__(), "_packings": {}}
+
     def subset(self, names: Iterable[str]) -> Scene:
         """The same scene with only the named views, in scene order; a name may hold the wildcards * ? [1-8]."""
         known = [view.name for view in self.views]
@@ -71,20 +77,21 @@ class Scene(Summarised):
         return replace(self, views=tuple(view for view in self.views if view.name in chosen))
 
     def fingerprint(self) -> str:
-        """Text that two scenes share only where views, silhouettes, bounds and unit are the same, to the last bit."""
-        digest = hashlib.sha256()
-        for view in self.views:
-            mask = np.empty(0, np.bool_) if view.silhouette is None else view.silhouette
-            digest.update(repr((view.name, view.image.shape, mask.shape)).encode())
-            for array in (view.K, view.cam_from_world, view.image, mask):
-                digest.update(array.tobytes())
-        digest.update(np.array([*self.bounds.low, *self.bounds.high, self.mm_per_unit]).tobytes())
-        return digest.hexdigest()
+        """Text that two scenes share only where views, silhouettes, bounds and unit are the same, to the last bit.
 
-    @cached_property
+        Photographs and masks count by what they are made from: the bytes of a file, an array, or a recipe.
+        """
+        told = (*(view.fingerprint() for view in self.views), self.bounds, float(self.mm_per_unit))
+        return hashlib.sha256(repr(told).encode()).hexdigest()
+
+    @property
     def packed(self) -> PackedViews:
         """All views as arrays for kernels; made when first asked for."""
-        return PackedViews(self.views)
+        return self.packed_at(1.0)
+
+    def packed_at(self, scale: float) -> PackedViews:
+        """All views at a scale of at most 1 as arrays for kernels; each scale's made once, when first asked for."""
+        return self._packings.setdefault(scale, Once()).get(lambda: PackedViews(self.views, scale))
 
     @property
     def centers(self) -> NDArray[np.float64]:
@@ -115,5 +122,6 @@ class Scene(Summarised):
         }
 
     def picture(self) -> NDArray[np.uint8]:
-        """All photographs, small."""
-        return thumbnails([view.image for view in self.views], width=120, columns=4)
+        """Photographs, small; some evenly chosen ones of many views."""
+        chosen = np.unique(np.linspace(0, len(self.views) - 1, min(_PICTURED, len(self.views))).round().astype(int))
+        return thumbnails((self.views[n].image for n in chosen), width=120, columns=4)

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+import hashlib
+from collections.abc import Callable, Collection
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
+from functools import cache
+from os import cpu_count
 from pathlib import Path
 
 import cv2
@@ -12,8 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recon3d.errors import DataError
+from recon3d.scene.bounds import Bounds
+from recon3d.scene.image_file import ImageFile
+from recon3d.scene.mask import ComputedMask, FileMask, Mask
+from recon3d.scene.names import file_stems
 from recon3d.scene.scene import Scene
 from recon3d.scene.view import View
+from recon3d.values import ByContent, Once
 
 _FAR = 1e6  # pixels; a corner nearly beside the camera, too far out for OpenCV to draw
 
@@ -33,9 +41,9 @@ def foreground(image: NDArray[np.uint8], level: float = BACKGROUND_LEVEL) -> NDA
     return np.asarray(image.max(axis=2) > level * 255)
 
 
-def bounds_mask(scene: Scene, view: View) -> NDArray[np.bool_]:
-    """Pixels (height, width) that the scene's bounds can project to; all where a corner is behind the camera."""
-    pixels, depth = view.project(scene.bounds.corners)
+def bounds_mask(bounds: Bounds, view: View) -> NDArray[np.bool_]:
+    """Pixels (height, width) that a box can project to; all where a corner is behind the camera."""
+    pixels, depth = view.project(bounds.corners)
     if (depth <= 0).any() or np.abs(pixels).max() > _FAR:
         return np.ones((view.height, view.width), np.bool_)
     mask = np.zeros((view.height, view.width), np.uint8)
@@ -53,7 +61,7 @@ def with_threshold_silhouettes(
     fill: int = 20,
     only: Collection[str] | None = None,
 ) -> Scene:
-    """Scene with silhouettes made from a dark background.
+    """Scene with silhouettes made from a dark background, each when it is first asked for.
 
     Threshold, dilate, erode, as the README of Middlebury's dinoSparseRing says; small holes are filled, since dark
     shadows on an object leave them; then cut to the projected bounds, since a stand may be brighter than the
@@ -70,28 +78,15 @@ def with_threshold_silhouettes(
         raise ValueError(f"expected a level between 0 and 1, got {level}")
     if min(dilate, erode, fill) < 0:
         raise ValueError(f"expected radii of 0 pixels or more, got dilate={dilate}, erode={erode}, fill={fill}")
-
-    def silhouette(view: View) -> NDArray[np.bool_]:
-        grown = cv2.dilate(foreground(view.image, level).astype(np.uint8), _disc(dilate))
-        # OpenCV's border value for erosion is the largest one, so a silhouette that leaves the image stays attached.
-        closed = _without_small_holes(cv2.erode(grown, _disc(erode)) > 0, np.pi * fill**2)
-        return closed & bounds_mask(scene, view)
-
-    return replace(
-        scene,
-        views=tuple(
-            replace(view, silhouette=silhouette(view) if only is None or view.name in only else None)
-            for view in scene.views
-        ),
-    )
+    return _with_masks(scene, lambda view: _Threshold(view, scene.bounds, level, dilate, erode, fill), only)
 
 
 def with_segmented_silhouettes(scene: Scene, *, only: Collection[str] | None = None) -> Scene:
     """Scene with silhouettes cut out along the strongest edges, for an object before a darker background.
 
-    Pixels outside the projected bounds are background for certain. Pixels brighter than nearly all of those are
-    object but for a rim, whose fate GrabCut decides by colour and contrast; so dark shadows on the object stay in it,
-    and the outline is exact to about half a pixel.
+    Pixels outside the projected bounds are background for certain. Pixels brighter than nearly all of those, of all
+    views, are object but for a rim, whose fate GrabCut decides by colour and contrast; so dark shadows on the object
+    stay in it, and the outline is exact to about half a pixel. Each is made when it is first asked for.
 
     Parameters
     ----------
@@ -101,21 +96,98 @@ def with_segmented_silhouettes(scene: Scene, *, only: Collection[str] | None = N
     ----------
     Rother, Kolmogorov, Blake, "GrabCut: interactive foreground extraction using iterated graph cuts", SIGGRAPH 2004.
     """
-    outside = [view.image[~bounds_mask(scene, view)].max(axis=1) for view in scene.views]
-    beyond = np.concatenate(outside)
-    level = float(np.percentile(beyond, 99)) / 255 if beyond.size else BACKGROUND_LEVEL
+    background = _Background(tuple(replace(view, mask=None) for view in scene.views), scene.bounds)
+    return _with_masks(scene, lambda view: _Segmented(view, background), only)
 
-    def silhouette(view: View) -> NDArray[np.bool_] | None:
-        if only is not None and view.name not in only:
-            return None
-        return _grab_cut(view, level, bounds_mask(scene, view))
 
-    with ThreadPoolExecutor() as pool:  # OpenCV releases the interpreter lock
-        silhouettes = list(pool.map(silhouette, scene.views))
-    return replace(
-        scene,
-        views=tuple(replace(view, silhouette=mask) for view, mask in zip(scene.views, silhouettes, strict=True)),
-    )
+def _with_masks(scene: Scene, mask: Callable[[View], Mask], only: Collection[str] | None) -> Scene:
+    """Scene with a mask for each of the named views, or for all; made of the view without one."""
+    bare = [replace(view, mask=None) for view in scene.views]
+    views = (replace(view, mask=mask(view)) if only is None or view.name in only else view for view in bare)
+    return replace(scene, views=tuple(views))
+
+
+@dataclass(frozen=True, eq=False)
+class _Threshold(ComputedMask):
+    """The silhouette of a dark background: threshold, dilate, erode, fill, cut to the bounds."""
+
+    view: View
+    bounds: Bounds
+    level: float
+    dilate: int
+    erode: int
+    fill: int
+
+    @property
+    def size(self) -> tuple[int, int]:
+        return self.view.width, self.view.height
+
+    def compute(self) -> NDArray[np.bool_]:
+        grown = cv2.dilate(foreground(self.view.image, self.level).astype(np.uint8), _disc(self.dilate))
+        # OpenCV's border value for erosion is the largest one, so a silhouette that leaves the image stays attached.
+        closed = _without_small_holes(cv2.erode(grown, _disc(self.erode)) > 0, np.pi * self.fill**2)
+        return closed & bounds_mask(self.bounds, self.view)
+
+    def fingerprint(self) -> str:
+        parameters = (self.bounds, self.level, self.dilate, self.erode, self.fill)
+        return f"threshold {parameters} {self.view.fingerprint()}"
+
+
+@dataclass(frozen=True, eq=False)
+class _Background(ByContent):
+    """What the views show outside the projected bounds."""
+
+    views: tuple[View, ...]
+    bounds: Bounds
+    _level: Once[float] = field(default_factory=Once, init=False, repr=False, compare=False)
+    _fingerprint: Once[str] = field(default_factory=Once, init=False, repr=False, compare=False)
+
+    @property
+    def level(self) -> float:
+        """Fraction of white that 99% of its pixels do not exceed."""
+        return self._level.get(self._find_level)
+
+    def _find_level(self) -> float:
+        with ThreadPoolExecutor(cpu_count()) as pool:  # OpenCV and numpy release the interpreter lock
+            counts = np.sum(list(pool.map(self._histogram, self.views)), axis=0)
+        n = int(counts.sum())
+        if n == 0:
+            return BACKGROUND_LEVEL
+        # Linear between the two pixels, in order of brightness, that the percentile lies between.
+        place = 0.99 * (n - 1)
+        below, above = np.searchsorted(counts.cumsum(), [np.floor(place), np.ceil(place)], side="right")
+        return float(below + (above - below) * (place % 1)) / 255
+
+    def _histogram(self, view: View) -> NDArray[np.int64]:
+        """(256,) number of background pixels of each brightness, that of the brightest channel."""
+        return np.bincount(view.image[~bounds_mask(self.bounds, view)].max(axis=1), minlength=256)
+
+    def fingerprint(self) -> str:
+        """Text that tells the bounds and all photographs."""
+
+        def digest() -> str:
+            told = repr((self.bounds, [view.fingerprint() for view in self.views]))
+            return hashlib.sha256(told.encode()).hexdigest()
+
+        return self._fingerprint.get(digest)
+
+
+@dataclass(frozen=True, eq=False)
+class _Segmented(ComputedMask):
+    """The silhouette that GrabCut finds."""
+
+    view: View
+    background: _Background
+
+    @property
+    def size(self) -> tuple[int, int]:
+        return self.view.width, self.view.height
+
+    def compute(self) -> NDArray[np.bool_]:
+        return _grab_cut(self.view, self.background.level, bounds_mask(self.background.bounds, self.view))
+
+    def fingerprint(self) -> str:
+        return f"segmented {self.view.name} {self.background.fingerprint()}"
 
 
 def _grab_cut(view: View, level: float, within: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -139,7 +211,10 @@ def _grab_cut(view: View, level: float, within: NDArray[np.bool_]) -> NDArray[np
 
 
 def with_mask_files(scene: Scene, folder: Path | str, *, only: Collection[str] | None = None) -> Scene:
-    """Scene with silhouettes read from ``folder/<view name>``, white for object, any extension, one for each view.
+    """Scene with silhouettes read from image files named like the views, white for object, one for each view.
+
+    For a view ``a/001.png`` that is ``a/001.*`` or ``a/001.png.*`` in the folder, or else ``a_001.*``: the name that
+    the view's own files are written under.
 
     Parameters
     ----------
@@ -152,42 +227,41 @@ def with_mask_files(scene: Scene, folder: Path | str, *, only: Collection[str] |
     folder = Path(folder)
     if not folder.is_dir():
         raise DataError(f"{folder}: expected a folder of mask images")
+    stems = file_stems(scene)
+    listed = cache(lambda place: sorted(place.iterdir()) if place.is_dir() else [])
 
-    def silhouette(view: View) -> NDArray[np.bool_]:
-        stem = Path(view.name).stem
-        found = sorted(path for path in folder.iterdir() if path.stem == stem)
+    def mask(view: View) -> Mask:
+        own = Path(view.name)
+        within = not own.is_absolute() and ".." not in own.parts
+        found = [path for path in listed((folder / own).parent) if within and path.stem in (own.stem, own.name)]
+        found = found or [path for path in listed(folder) if path.stem == stems[view.name]]
         if len(found) != 1:
-            raise DataError(f"{folder}: expected one mask named {stem}.* for view {view.name}, found {len(found)}")
-        mask = cv2.imread(str(found[0]), cv2.IMREAD_GRAYSCALE)
-        if mask is None:
-            raise DataError(f"{found[0]}: not a readable image")
-        if mask.shape != (view.height, view.width):
+            expected = f"{own.with_suffix('')}.*"
+            raise DataError(f"{folder}: expected one mask named {expected} for view {view.name}, found {len(found)}")
+        size = (file := ImageFile(found[0])).size
+        if size != (view.width, view.height):
+            turned = size == (view.height, view.width)
             raise DataError(
-                f"{found[0]}: expected {view.width}x{view.height} pixels like view {view.name}, "
-                f"got {mask.shape[1]}x{mask.shape[0]}"
+                f"{file.path}: expected {view.width}x{view.height} pixels like view {view.name}, "
+                f"got {size[0]}x{size[1]}{'; photographs are set upright as their EXIF says' if turned else ''}"
             )
-        return np.asarray(mask > 127)
+        return FileMask(file)
 
-    return replace(
-        scene,
-        views=tuple(
-            replace(view, silhouette=silhouette(view) if only is None or view.name in only else None)
-            for view in scene.views
-        ),
-    )
+    return _with_masks(scene, mask, only)
 
 
 def without_silhouettes(scene: Scene) -> Scene:
     """Scene in which no silhouette is known."""
-    return replace(scene, views=tuple(replace(view, silhouette=None) for view in scene.views))
+    return replace(scene, views=tuple(replace(view, mask=None) for view in scene.views))
 
 
 def overlay(scene: Scene, view: View) -> NDArray[np.uint8]:
     """RGB photograph with what its silhouette excludes tinted blue and the outline of the bounds in yellow."""
     picture = view.image.copy()
-    if view.silhouette is not None:
-        picture[~view.silhouette] = picture[~view.silhouette] // 2 + np.array([0, 20, 90], np.uint8)
-    edge = cv2.morphologyEx(bounds_mask(scene, view).astype(np.uint8), cv2.MORPH_GRADIENT, _disc(1)) > 0
+    silhouette = view.silhouette
+    if silhouette is not None:
+        picture[~silhouette] = picture[~silhouette] // 2 + np.array([0, 20, 90], np.uint8)
+    edge = cv2.morphologyEx(bounds_mask(scene.bounds, view).astype(np.uint8), cv2.MORPH_GRADIENT, _disc(1)) > 0
     picture[edge] = (255, 220, 0)
     return picture
 

@@ -2,103 +2,140 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
+import cv2
 import numpy as np
 import open3d as o3d
 from numpy.typing import ArrayLike, NDArray
 
-from recon3d.scene.camera import check_extrinsics, check_intrinsics
+from recon3d.scene.camera import Camera
+from recon3d.scene.mask import Mask
+from recon3d.scene.photograph import Photograph
 from recon3d.summary import Summarised
+from recon3d.values import ByContent
 
 
-@dataclass(frozen=True, repr=False)
-class View(Summarised):
-    """One calibrated photograph."""
+@dataclass(frozen=True, init=False, repr=False, eq=False)
+class View(ByContent, Summarised):
+    """One calibrated photograph.
 
-    camera: o3d.camera.PinholeCameraParameters
-    """Open3D camera: the full K (skew, fx != fy) and the extrinsic ``cam_from_world``; pixel centres at integers."""
-    image: NDArray[np.uint8]
-    """(height, width, 3) RGB."""
-    silhouette: NDArray[np.bool_] | None = None
-    """(height, width), True where the object may be; None: not known. Outside the image it is always unknown."""
-    name: str = "view"
+    ``View(camera, image, silhouette, name)`` takes Open3D's ``PinholeCameraParameters``, an RGB array and a bool mask,
+    or a ``Camera`` and image files. A view is of the undistorted photograph: that is what ``image``, ``silhouette``,
+    ``K`` and ``camera`` show.
+
+    Raises
+    ------
+    ValueError : camera, photograph and mask do not fit together.
+    """
+
+    calibration: Camera
+    """The camera, with the distortion of its lens."""
+    photograph: Photograph
+    """The photograph as it was taken, in memory or in a file."""
+    mask: Mask | None
+    """Where in the photograph the object may be; None: not known."""
+    name: str
     """What errors and tables call it, usually the file's name."""
 
-    def __post_init__(self) -> None:
-        if self.image.dtype != np.uint8 or self.image.ndim != 3 or self.image.shape[2] != 3:
-            raise ValueError(
-                f"view {self.name}: expected an (height, width, 3) uint8 RGB image, "
-                f"got {self.image.shape} {self.image.dtype}"
-            )
-        intrinsic = self.camera.intrinsic
-        if (intrinsic.height, intrinsic.width) != self.image.shape[:2]:
-            raise ValueError(
-                f"view {self.name}: the camera is for {intrinsic.width}x{intrinsic.height} pixels, "
-                f"the image has {self.width}x{self.height}"
-            )
-        problem = check_intrinsics(self.K) or check_extrinsics(self.cam_from_world)
-        if problem:
-            raise ValueError(f"view {self.name}: {problem}")
-        if self.silhouette is not None and (
-            self.silhouette.shape != self.image.shape[:2] or self.silhouette.dtype != np.bool_
-        ):
-            raise ValueError(
-                f"view {self.name}: expected a bool silhouette of {self.width}x{self.height} pixels, "
-                f"got shape {self.silhouette.shape} {self.silhouette.dtype}"
-            )
+    def __init__(
+        self,
+        calibration: Camera | o3d.camera.PinholeCameraParameters,
+        photograph: Photograph | Path | str | NDArray[np.uint8],
+        mask: Mask | Path | str | NDArray[np.bool_] | None = None,
+        name: str = "view",
+    ) -> None:
+        try:
+            camera, photograph = Camera.of(calibration), Photograph.of(photograph)
+            mask = None if mask is None else Mask.of(mask)
+        except ValueError as error:
+            raise ValueError(f"view {name}: {error}") from None
+        expected = (camera.width, camera.height)
+        for what, size in (("image", photograph.size), ("silhouette", mask.size if mask else expected)):
+            if size != expected:
+                raise ValueError(
+                    f"view {name}: the camera is for {camera.width}x{camera.height} pixels, "
+                    f"the {what} has {size[0]}x{size[1]}"
+                )
+        object.__setattr__(self, "calibration", camera)
+        object.__setattr__(self, "photograph", photograph)
+        object.__setattr__(self, "mask", mask)
+        object.__setattr__(self, "name", name)
 
     @classmethod
     def from_matrices(
         cls,
         K: ArrayLike,
         cam_from_world: ArrayLike,
-        image: NDArray[np.uint8],
+        image: Photograph | Path | str | NDArray[np.uint8],
         *,
-        silhouette: NDArray[np.bool_] | None = None,
+        silhouette: Mask | Path | str | NDArray[np.bool_] | None = None,
+        distortion: ArrayLike = (),
         name: str = "view",
     ) -> View:
         """View from a 3x3 K and a 3x4 or 4x4 world-to-camera transform (OpenCV axes: x right, y down, z forward)."""
-        camera = o3d.camera.PinholeCameraParameters()
-        intrinsic = o3d.camera.PinholeCameraIntrinsic()
-        intrinsic.height, intrinsic.width = image.shape[:2]
-        intrinsic.intrinsic_matrix = np.asarray(K, np.float64)
-        camera.intrinsic = intrinsic
-        extrinsic = np.eye(4)
-        given = np.asarray(cam_from_world, np.float64)
-        extrinsic[: given.shape[0]] = given
-        camera.extrinsic = extrinsic
-        return cls(camera, image, silhouette, name)
+        try:
+            photograph = Photograph.of(image)
+            camera = Camera(K, cam_from_world, *photograph.size, distortion)
+        except ValueError as error:
+            raise ValueError(f"view {name}: {error}") from None
+        return cls(camera, photograph, silhouette, name)
 
-    def __reduce__(self) -> tuple[Callable[..., View], tuple[object, ...]]:
-        """Pickle by matrices, since Open3D's cameras do not pickle."""
-        return _view_from_parts, (self.K, self.cam_from_world, self.image, self.silhouette, self.name)
+    @property
+    def camera(self) -> o3d.camera.PinholeCameraParameters:
+        """Open3D's camera: the full K (skew, fx != fy) and the extrinsic ``cam_from_world``."""
+        return self.calibration.to_open3d()
+
+    @property
+    def image(self) -> NDArray[np.uint8]:
+        """(height, width, 3) RGB, read-only; read from the file where the process does not hold it."""
+        return self.image_at(1.0)
+
+    @property
+    def silhouette(self) -> NDArray[np.bool_] | None:
+        """(height, width), True where the object may be; None: not known. Outside the image it is always unknown."""
+        return self.silhouette_at(1.0)
+
+    @property
+    def has_silhouette(self) -> bool:
+        """Whether a silhouette is known; reads no pixels."""
+        return self.mask is not None
+
+    def image_at(self, scale: float) -> NDArray[np.uint8]:
+        """The image at a scale of at most 1: a pixel is the mean of what it covers."""
+        return self.photograph.read(scale, camera=self.calibration)
+
+    def silhouette_at(self, scale: float) -> NDArray[np.bool_] | None:
+        """The silhouette at a scale of at most 1: a pixel may be object where anything that it covers may."""
+        if self.mask is None:
+            return None
+        whole = self.mask.read(self.calibration)
+        camera = self.calibration.at(scale)
+        if whole.shape == (camera.height, camera.width):
+            return whole
+        share = cv2.resize(whole.astype(np.float32), (camera.width, camera.height), interpolation=cv2.INTER_AREA)
+        return np.asarray(share > 1e-6)
 
     @property
     def height(self) -> int:
         """Rows."""
-        return int(self.image.shape[0])
+        return self.calibration.height
 
     @property
     def width(self) -> int:
         """Columns."""
-        return int(self.image.shape[1])
-
-    @property
-    def has_silhouette(self) -> bool:
-        """Whether a silhouette is known; asks for no pixels."""
-        return self.silhouette is not None
+        return self.calibration.width
 
     @property
     def K(self) -> NDArray[np.float64]:
         """(3, 3) intrinsic matrix, pixels."""
-        return np.array(self.camera.intrinsic.intrinsic_matrix)
+        return self.calibration.K.copy()
 
     @property
     def cam_from_world(self) -> NDArray[np.float64]:
         """(4, 4) rigid transform."""
-        return np.array(self.camera.extrinsic)
+        return self.calibration.cam_from_world.copy()
 
     @property
     def projection(self) -> NDArray[np.float64]:
@@ -126,6 +163,13 @@ class View(Summarised):
             & (pixels < np.array([self.width, self.height]) - 0.5).all(axis=1)
         )
 
+    def fingerprint(self) -> str:
+        """Text that two views share only where name, camera, photograph and mask are the same; decodes no pixels."""
+        camera = self.calibration
+        numbers = [*camera.K.ravel(), *camera.cam_from_world.ravel(), *camera.distortion]
+        mask = self.mask.fingerprint() if self.mask else None
+        return repr((self.name, *map(float, numbers), self.photograph.fingerprint(), mask))
+
     def summary(self) -> dict[str, object]:
         """Table of what the view is."""
         return {
@@ -139,13 +183,3 @@ class View(Summarised):
     def picture(self) -> NDArray[np.uint8]:
         """The photograph."""
         return self.image
-
-
-def _view_from_parts(
-    K: NDArray[np.float64],
-    cam_from_world: NDArray[np.float64],
-    image: NDArray[np.uint8],
-    silhouette: NDArray[np.bool_] | None,
-    name: str,
-) -> View:
-    return View.from_matrices(K, cam_from_world, image, silhouette=silhouette, name=name)

@@ -21,7 +21,7 @@ from recon3d.io.files import atomic_path, write_image, write_json, write_text
 from recon3d.pipeline import Progress
 from recon3d.reporting.figures import plot_trade_off
 from recon3d.reporting.page import markdown_table
-from recon3d.scene.photograph import read_image
+from recon3d.scene.image_file import read_image
 from recon3d.scene.scene import Scene
 from recon3d.settings import Settings
 from recon3d.study.trials import Trial, set_up_trials

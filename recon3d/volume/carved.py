@@ -12,6 +12,7 @@ import open3d as o3d
 from numpy.typing import NDArray
 
 from recon3d.summary import Summarised
+from recon3d.values import ByContent
 from recon3d.volume.dense import CarvingVolume
 from recon3d.volume.lattice import Lattice
 
@@ -66,8 +67,8 @@ class Carved(Protocol):
         """What is left, seen along the three axes."""
 
 
-@dataclass(frozen=True, repr=False)
-class CarvedVolume(Summarised):
+@dataclass(frozen=True, repr=False, eq=False)
+class CarvedVolume(ByContent, Summarised):
     """The accepted voxels, and what was found out about the others."""
 
     volume: CarvingVolume

@@ -11,11 +11,12 @@ from numpy.typing import ArrayLike, NDArray
 from recon3d.errors import ArgumentError, EmptyReconstructionError
 from recon3d.scene.bounds import Bounds
 from recon3d.summary import Summarised, thumbnails
+from recon3d.values import ByContent
 from recon3d.volume.lattice import BYTES_PER_VOXEL, Lattice, check_memory
 
 
-@dataclass(frozen=True, repr=False)
-class CarvingVolume(Summarised):
+@dataclass(frozen=True, repr=False, eq=False)
+class CarvingVolume(ByContent, Summarised):
     """Cubic voxels; voxel (i, j, k) spans ``origin + size * (i, j, k)`` to ``origin + size * (i+1, j+1, k+1)``."""
 
     origin: NDArray[np.float64]

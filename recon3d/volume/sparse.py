@@ -14,12 +14,13 @@ from recon3d.errors import ArgumentError, EmptyReconstructionError
 from recon3d.kernels.bricks import BRICK, SOLID, copy_box, exposed_bricks, surface_voxels
 from recon3d.scene.bounds import Bounds
 from recon3d.summary import Summarised, thumbnails
+from recon3d.values import ByContent
 from recon3d.volume.carved import CarvedVolume, Label
 from recon3d.volume.lattice import BAND, Lattice
 
 
-@dataclass(frozen=True, repr=False)
-class SparseVolume(Summarised):
+@dataclass(frozen=True, repr=False, eq=False)
+class SparseVolume(ByContent, Summarised):
     """A carved volume of which only the bricks of 8 x 8 x 8 voxels near the surface are stored.
 
     Every other brick is empty or solid throughout. All occupied voxels with an empty face neighbour are stored, so

@@ -1,0 +1,114 @@
+"""Masks of the object: in memory, in a file, or computed when first asked for."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recon3d.scene.camera import Camera
+from recon3d.scene.image_file import ImageFile
+from recon3d.scene.photograph import array_fingerprint
+from recon3d.scene.pixel_cache import PIXELS
+from recon3d.values import ByContent, Once
+
+
+class Mask(ABC):
+    """Where in a photograph the object may be."""
+
+    @abstractmethod
+    def read(self, camera: Camera) -> NDArray[np.bool_]:
+        """(height, width) of the undistorted photograph of a camera, True where the object may be.
+
+        What the photograph itself does not show may be object.
+        """
+
+    @property
+    @abstractmethod
+    def size(self) -> tuple[int, int]:
+        """Width and height; reads no pixels."""
+
+    @abstractmethod
+    def fingerprint(self) -> str:
+        """Text that two masks share only where they are the same."""
+
+    @staticmethod
+    def of(source: Mask | Path | str | NDArray[np.bool_]) -> Mask:
+        """The mask itself, or that of an image file or of an array (height, width)."""
+        if isinstance(source, Mask):
+            return source
+        return ArrayMask(source) if isinstance(source, np.ndarray) else FileMask(ImageFile(Path(source)))
+
+
+@dataclass(frozen=True, init=False, eq=False)
+class ArrayMask(ByContent, Mask):
+    """A mask in memory."""
+
+    shape: tuple[int, int]
+    """Height and width."""
+    bits: NDArray[np.uint8] = field(repr=False)
+    """Packed, eight pixels a byte."""
+
+    def __init__(self, mask: NDArray[np.bool_]) -> None:
+        if mask.ndim != 2 or mask.dtype != np.bool_:
+            raise ValueError(f"expected a bool mask (height, width), got {mask.shape} {mask.dtype}")
+        object.__setattr__(self, "shape", mask.shape)
+        object.__setattr__(self, "bits", np.packbits(mask))
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height."""
+        return self.shape[1], self.shape[0]
+
+    def unpacked(self) -> NDArray[np.bool_]:
+        """(height, width), as it was given."""
+        return np.unpackbits(self.bits, count=self.shape[0] * self.shape[1]).reshape(self.shape).view(np.bool_)
+
+    def read(self, camera: Camera) -> NDArray[np.bool_]:
+        """The mask, undistorted."""
+        mask = self.unpacked()
+        return camera.undistorted(255 * mask.view(np.uint8), beyond=255) > 127 if camera.distortion else mask
+
+    def fingerprint(self) -> str:
+        """Digest of the file or array."""
+        return f"{self.shape} {array_fingerprint(self.bits)}"
+
+
+@dataclass(frozen=True)
+class FileMask(Mask):
+    """A mask in an image file, read upright like photographs: white for object."""
+
+    file: ImageFile
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height, from the header."""
+        return self.file.size
+
+    def read(self, camera: Camera) -> NDArray[np.bool_]:
+        """The pixels brighter than the middle grey, undistorted."""
+        key = ("mask", self.file.version(), camera if camera.distortion else None)
+        return PIXELS.get(key, lambda: camera.undistorted(self.file.decode(grey=True), beyond=255) > 127)
+
+    def fingerprint(self) -> str:
+        """Digest of the file or array."""
+        return self.file.fingerprint()
+
+
+@dataclass(frozen=True, eq=False)
+class ComputedMask(ByContent, Mask):
+    """A mask that is made of undistorted photographs when first asked for, and then kept, packed."""
+
+    made: Once[ArrayMask] = field(default_factory=Once, init=False, repr=False, compare=False)
+    """The finished mask."""
+
+    @abstractmethod
+    def compute(self) -> NDArray[np.bool_]:
+        """The mask, from pixels."""
+
+    def read(self, camera: Camera) -> NDArray[np.bool_]:  # noqa: ARG002
+        """What is computed, or was before."""
+        return self.made.get(lambda: ArrayMask(self.compute())).unpacked()
