@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import platform
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from importlib.metadata import version
 from typing import Any
 
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from recon3d._version import __version__
 from recon3d.evaluation.distances import Evaluation
 from recon3d.evaluation.photographs import Quality
+from recon3d.io.geometry import from_arrays, geometry_arrays
 from recon3d.rendering.renderer import Renderer
 from recon3d.rendering.sheets import turntable
 from recon3d.scene.scene import Scene
@@ -57,6 +58,18 @@ class Reconstruction(Summarised):
         triangles = np.asarray(self.mesh.triangles)
         areas = triangle_areas(np.asarray(self.mesh.vertices), triangles)
         return float(areas[(self.support[triangles] > 0).all(axis=1)].sum() / areas.sum())
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Open3D's legacy geometry does not pickle: its arrays do."""
+        arrays = {name: geometry_arrays(getattr(self, name)) for name in ("points", "mesh")}
+        return {field.name: getattr(self, field.name) for field in fields(self)} | arrays
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        made = {
+            "points": from_arrays(o3d.geometry.PointCloud(), state["points"]),
+            "mesh": from_arrays(o3d.geometry.TriangleMesh(), state["mesh"]),
+        }
+        self.__dict__.update(state | made)
 
     def record(self) -> dict[str, Any]:
         """Every parameter, version, timing and figure of the run, for a JSON file."""

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import os
+import pickle
 import stat
 from pathlib import Path
 
@@ -13,8 +14,16 @@ from scenes import ball_mesh, ball_volume
 
 from recon3d.errors import DataError
 from recon3d.io.files import atomic_path, write_image, write_json, write_text
-from recon3d.io.geometry import MESH_SUFFIXES, read_geometry, read_mesh, read_support, write_geometry
-from recon3d.scene.photograph import read_image
+from recon3d.io.geometry import (
+    MESH_SUFFIXES,
+    from_arrays,
+    geometry_arrays,
+    read_geometry,
+    read_mesh,
+    read_support,
+    write_geometry,
+)
+from recon3d.scene.image_file import read_image
 
 
 def names(folder: Path) -> list[str]:
@@ -257,3 +266,21 @@ def test_json_refuses_what_json_does_not_know(tmp_path: Path) -> None:
 
 def test_text_is_written_in_utf_8(tmp_path: Path) -> None:
     assert write_text(tmp_path / "a.txt", "µ ≤ 1\n").read_bytes() == "µ ≤ 1\n".encode()
+
+
+def test_meshes_and_clouds_come_back_from_their_arrays() -> None:
+    mesh = o3d.geometry.TriangleMesh.create_box()
+    mesh.compute_vertex_normals()
+    mesh.paint_uniform_color([0.1, 0.2, 0.3])
+    mesh.triangle_uvs = o3d.utility.Vector2dVector(np.random.default_rng(0).random((36, 2)))
+    mesh.triangle_material_ids = o3d.utility.IntVector([0] * 12)
+    mesh.textures = [o3d.geometry.Image(np.arange(48, dtype=np.uint8).reshape(4, 4, 3))]
+    cloud = mesh.sample_points_uniformly(20)
+    copies = pickle.loads(pickle.dumps([geometry_arrays(mesh), geometry_arrays(cloud)]))  # noqa: S301
+    again = from_arrays(o3d.geometry.TriangleMesh(), copies[0]), from_arrays(o3d.geometry.PointCloud(), copies[1])
+    for before, after in zip((mesh, cloud), again, strict=True):
+        expected, found = geometry_arrays(before), geometry_arrays(after)
+        assert expected.keys() == found.keys()
+        for name, array in expected.items():
+            np.testing.assert_array_equal(found[name], array)
+    assert from_arrays(o3d.geometry.TriangleMesh(), geometry_arrays(o3d.geometry.TriangleMesh())).is_empty()

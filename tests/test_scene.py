@@ -84,6 +84,55 @@ def test_a_view_keeps_its_matrices_exactly() -> None:
     assert (view.height, view.width) == (30, 40)
 
 
+def view_with(seed: int = 0, name: str = "a.png") -> View:
+    rng = np.random.default_rng(seed)
+    image = rng.integers(0, 256, (30, 40, 3), dtype=np.uint8)
+    return View.from_matrices(SKEWED, pose(), image, silhouette=rng.random((30, 40)) < 0.5, name=name)
+
+
+def test_views_are_values() -> None:
+    view, copy = view_with(), pickle.loads(pickle.dumps(view_with()))  # noqa: S301
+    others = [
+        view_with(seed=1), replace(view, name="b"), replace(view, mask=None), replace(view, photograph=grey()),
+        replace(view, calibration=replace(view.calibration, cam_from_world=pose(2))),
+    ]  # fmt: skip
+    assert view == copy
+    assert view not in others
+    assert len({view, copy, *others}) == 1 + len(others)
+    assert view != "a.png"
+
+
+def test_scenes_are_values_and_their_pickles_hold_no_packing() -> None:
+    views = (view_with(), view_with(1, "b.png"))
+    scene, packed = Scene(views, BOX, notes={"a": "b"}), Scene(views, BOX, notes={"a": "b"})
+    assert packed.packed is packed.packed
+    copy = pickle.loads(pickle.dumps(packed))  # noqa: S301
+    others = [replace(scene, views=views[:1]), replace(scene, bounds=BOX.padded(1)), replace(scene, notes={})]
+    assert scene == packed == copy
+    assert scene not in others
+    assert len({scene, packed, copy, *others}) == 1 + len(others)
+    assert len(pickle.dumps(packed)) == len(pickle.dumps(scene))
+    assert copy.fingerprint() == scene.fingerprint()
+    np.testing.assert_array_equal(copy.packed.images, packed.packed.images)
+
+
+def test_scenes_are_packed_once_a_scale_with_the_scaled_cameras() -> None:
+    scene = Scene((view_with(), View.from_matrices(SKEWED, pose(), grey(20, 24), name="b")), BOX)
+    half = scene.packed_at(0.5)
+    assert half is scene.packed_at(0.5)
+    assert scene.packed is scene.packed_at(1)
+    assert half.sizes.tolist() == [[20, 15], [12, 10]]
+    assert half.images.shape == (2, 15, 20, 3)
+    for n, view in enumerate(scene.views):
+        camera = view.calibration.at(0.5)
+        part = np.s_[n, : camera.height, : camera.width]
+        np.testing.assert_array_equal(half.images[part], view.image_at(0.5))
+        np.testing.assert_allclose(half.projections[n], camera.K @ camera.cam_from_world[:3])
+        np.testing.assert_allclose(half.focals[n], scene.packed.focals[n] / 2)
+        silhouette = view.silhouette_at(0.5)
+        np.testing.assert_array_equal(half.foreground[part], True if silhouette is None else silhouette)
+
+
 @pytest.mark.parametrize("with_silhouette", [True, False])
 def test_views_pickle(with_silhouette: bool) -> None:
     rng = np.random.default_rng(0)

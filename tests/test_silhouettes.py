@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import pickle
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,8 +15,12 @@ from recon3d.datasets.synthetic import BuiltInScene
 from recon3d.errors import DataError
 from recon3d.io.files import write_image
 from recon3d.scene.bounds import Bounds
+from recon3d.scene.image_file import ImageFile
+from recon3d.scene.names import file_stems
+from recon3d.scene.pixel_cache import PIXELS
 from recon3d.scene.scene import Scene
 from recon3d.scene.silhouettes import (
+    _Background,
     bounds_mask,
     foreground,
     overlay,
@@ -23,6 +29,7 @@ from recon3d.scene.silhouettes import (
     with_threshold_silhouettes,
     without_silhouettes,
 )
+from recon3d.scene.view import View
 
 WIDE = Bounds([-9, -9, -3], [9, 9, 3])  # fills the image of plain_view
 
@@ -282,3 +289,133 @@ def test_a_black_image_has_an_empty_segment() -> None:
     (view,) = with_segmented_silhouettes(scene).views
     assert view.silhouette is not None
     assert not view.silhouette.any()
+
+
+@pytest.fixture
+def decoded(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Names of the files whose pixels are read, as they are; with nothing kept."""
+    names: list[str] = []
+    decode = ImageFile.decode
+
+    def noted(file: ImageFile, **options: bool) -> NDArray[np.uint8]:
+        names.append(file.path.name)
+        return decode(file, **options)
+
+    monkeypatch.setattr(ImageFile, "decode", noted)
+    monkeypatch.setattr(PIXELS, "_limit", 0)
+    return names
+
+
+def in_files(scene: Scene, folder: Path) -> Scene:
+    """The scene with its photographs in files, and without silhouettes."""
+    views = (
+        View(view.calibration, write_image(folder / view.name, view.image), None, view.name) for view in scene.views
+    )
+    return replace(scene, views=tuple(views))
+
+
+@pytest.mark.parametrize("segmented", [True, False])
+def test_silhouettes_are_computed_when_they_are_asked_for_and_once(
+    tmp_path: Path, decoded: list[str], segmented: bool
+) -> None:
+    make = with_segmented_silhouettes if segmented else with_threshold_silhouettes
+    in_memory = without_silhouettes(photographs(ball_mesh(), plain, cameras(3)))
+    scene = make(in_files(in_memory, tmp_path))
+    names = [view.name for view in scene.views]
+    assert all(view.has_silhouette for view in scene.views)
+    assert scene.summary()["silhouettes"] == 3
+    assert decoded == []
+    first = scene.views[0].silhouette
+    # The level of the background is learnt of all views.
+    assert sorted(decoded) == sorted([*names, names[0]] if segmented else names[:1])
+    decoded.clear()
+    again = scene.views[0].silhouette
+    assert decoded == []
+    np.testing.assert_array_equal(again, first)
+    kept = pickle.loads(pickle.dumps(scene.views[0]))  # noqa: S301
+    np.testing.assert_array_equal(kept.silhouette, first)
+    assert decoded == []
+    for view, expected in zip(scene.views, make(in_memory).views, strict=True):
+        np.testing.assert_array_equal(view.silhouette, expected.silhouette)
+
+
+def test_threads_that_ask_for_silhouettes_at_once_find_the_same(tmp_path: Path, decoded: list[str]) -> None:
+    scene = in_files(photographs(ball_mesh(), plain, cameras(4)), tmp_path)
+    one_by_one = [view.silhouette for view in with_segmented_silhouettes(scene).views]
+    decoded.clear()
+    shared = with_segmented_silhouettes(scene)
+    with ThreadPoolExecutor(8) as pool:
+        found = list(pool.map(lambda view: view.silhouette, [*shared.views, *shared.views]))
+    for mask, expected in zip(found, one_by_one * 2, strict=True):
+        np.testing.assert_array_equal(mask, expected)
+    assert len(decoded) == 2 * 4  # once for the level, once for the mask
+
+
+def test_a_computed_silhouette_stays_that_of_its_own_photograph() -> None:
+    scene = with_segmented_silhouettes(photographs(ball_mesh(), plain, cameras(2)))
+    dark = replace(scene.views[0], photograph=np.zeros((36, 48, 3), np.uint8))
+    np.testing.assert_array_equal(dark.silhouette, scene.views[0].silhouette)
+
+
+def test_computed_silhouettes_are_told_by_what_they_are_made_from(tmp_path: Path, decoded: list[str]) -> None:
+    scene = in_files(photographs(ball_mesh(), plain, cameras(3)), tmp_path)
+    darker = replace(scene, views=(*scene.views[:2], replace(scene.views[2], photograph=scene.views[2].image // 2)))
+    decoded.clear()
+    made = [
+        scene, with_segmented_silhouettes(scene), with_threshold_silhouettes(scene),
+        with_threshold_silhouettes(scene, level=0.3), with_segmented_silhouettes(replace(scene, bounds=WIDE)),
+    ]  # fmt: skip
+    assert len({one.fingerprint() for one in made}) == len(made)
+    assert len(set(made)) == len(made)
+    assert with_segmented_silhouettes(scene) == made[1]
+    assert with_segmented_silhouettes(scene).fingerprint() == made[1].fingerprint()
+    # The level of the background depends on the other views.
+    first = with_segmented_silhouettes(darker).subset([scene.views[0].name])
+    assert first.fingerprint() != made[1].subset([scene.views[0].name]).fingerprint()
+    assert decoded == []
+
+
+def test_the_level_of_the_background_is_the_percentile_of_all_its_pixels() -> None:
+    rng = np.random.default_rng(0)
+    box = Bounds([-1, -0.5, -0.1], [1, 0.5, 0.1])
+    for brightest in (256, 30, 3):
+        views = tuple(
+            replace(plain_view(name=name), photograph=rng.integers(0, brightest, (30, 40, 3), dtype=np.uint8))
+            for name in "abc"
+        )
+        beyond = np.concatenate([view.image[~bounds_mask(box, view)].max(axis=1) for view in views])
+        assert _Background(views, box).level == pytest.approx(float(np.percentile(beyond, 99)) / 255, abs=1e-12)
+
+
+def folders() -> Scene:
+    names = ("a/001.png", "b/001.png", "B/001.JPG", "c 1/x.y.png", "b_001.png", "../001.png")
+    return Scene(tuple(plain_view(name=name) for name in names), WIDE)
+
+
+def test_files_of_views_bear_names_that_differ_in_any_case() -> None:
+    stems = file_stems(folders())
+    assert stems == {
+        "a/001.png": "a_001", "b/001.png": "b_001", "B/001.JPG": "B_001-2", "c 1/x.y.png": "c_1_x.y",
+        "b_001.png": "b_001-3", "../001.png": "001",
+    }  # fmt: skip
+    assert len({stem.casefold() for stem in stems.values()}) == len(stems)
+
+
+@pytest.mark.parametrize("style", ["{name}.png", "{bare}.bmp", "flat"])
+def test_masks_of_views_in_folders_are_found(tmp_path: Path, style: str) -> None:
+    rng = np.random.default_rng(0)
+    scene = folders()
+    scene = replace(scene, views=scene.views[:2] + scene.views[3:4])
+    for view in scene.views:
+        own = style.format(name=view.name, bare=Path(view.name).with_suffix(""))
+        own = f"{file_stems(scene)[view.name]}.png" if style == "flat" else own
+        write_image(tmp_path / own, rng.random((30, 40)) < 0.5)
+    rng = np.random.default_rng(0)
+    for view in with_mask_files(scene, tmp_path).views:
+        np.testing.assert_array_equal(view.silhouette, rng.random((30, 40)) < 0.5)
+
+
+def test_a_turned_mask_is_told_why_it_does_not_fit(tmp_path: Path) -> None:
+    write_image(tmp_path / "a.png", np.ones((40, 30), np.bool_))
+    with pytest.raises(DataError, match="got 30x40; photographs are set upright as their EXIF says"):
+        with_mask_files(one_view(), tmp_path)

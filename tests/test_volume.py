@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import pickle
 import re
 from pathlib import Path
 from types import SimpleNamespace
@@ -14,6 +15,7 @@ from scenes import ball_volume, full_volume, rotation
 from recon3d.errors import EmptyReconstructionError, VolumeTooLargeError
 from recon3d.io.geometry import read_geometry, write_geometry
 from recon3d.scene.bounds import Bounds
+from recon3d.volume.carved import CarvedVolume
 from recon3d.volume.dense import CarvingVolume
 from recon3d.volume.lattice import BYTES_PER_VOXEL
 
@@ -230,3 +232,17 @@ def test_the_summary_and_the_picture_show_the_volume() -> None:
     # The first voxels along x have x < 0 and are blue; the corners of the picture show nothing.
     assert along_x[10, 10].tolist() == [0, 0, 100]
     assert along_x[0, 0].tolist() == [255, 255, 255]
+
+
+def test_volumes_are_values() -> None:
+    first, copy = ball_volume(0.9, 12), pickle.loads(pickle.dumps(ball_volume(0.9, 12)))  # noqa: S301
+    other = first.with_occupancy(~first.occupied)
+    assert first == copy != other
+    assert len({first, copy, other}) == 2
+    carved = CarvedVolume.untouched(first)
+    same = pickle.loads(pickle.dumps(carved))  # noqa: S301
+    assert carved == same  # though degrees are NaN
+    before = hash(same)
+    same.accept(np.array([[0, 0, 0]]), np.array([[1, 2, 3]], np.uint8))
+    assert carved != same
+    assert hash(same) == before

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import open3d as o3d
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 from recon3d.errors import DataError
 from recon3d.io.files import atomic_path
 
+Shape = TypeVar("Shape", bound=o3d.geometry.TriangleMesh | o3d.geometry.PointCloud)
 Geometry = o3d.geometry.TriangleMesh | o3d.geometry.PointCloud | o3d.geometry.VoxelGrid
 
 
@@ -20,6 +22,22 @@ MESH_SUFFIXES = (".ply", ".obj", ".glb", ".stl")
 
 
 _PLY_TYPES = {"double": "<f8", "float": "<f4", "int": "<i4", "uint": "<u4", "uchar": "u1"}
+
+
+_ARRAYS = {
+    "vertices": o3d.utility.Vector3dVector,
+    "vertex_normals": o3d.utility.Vector3dVector,
+    "vertex_colors": o3d.utility.Vector3dVector,
+    "triangles": o3d.utility.Vector3iVector,
+    "triangle_normals": o3d.utility.Vector3dVector,
+    "triangle_uvs": o3d.utility.Vector2dVector,
+    "triangle_material_ids": o3d.utility.IntVector,
+    "points": o3d.utility.Vector3dVector,
+    "normals": o3d.utility.Vector3dVector,
+    "colors": o3d.utility.Vector3dVector,
+    "covariances": o3d.utility.Matrix3dVector,
+}
+"""Open3D's own vectors, by the names that its legacy meshes and clouds give them."""
 
 
 def write_geometry(
@@ -129,6 +147,24 @@ def read_mesh(path: Path | str) -> o3d.geometry.TriangleMesh:
     geometry = read_geometry(path)
     if not isinstance(geometry, o3d.geometry.TriangleMesh):
         raise DataError(f"{path}: expected a triangle mesh, got a {type(geometry).__name__}")
+    return geometry
+
+
+def geometry_arrays(geometry: o3d.geometry.TriangleMesh | o3d.geometry.PointCloud) -> dict[str, NDArray[Any]]:
+    """All arrays of a legacy mesh or cloud, its textures among them; these pickle, the geometry does not."""
+    arrays = {name: np.array(getattr(geometry, name)) for name in _ARRAYS if hasattr(geometry, name)}
+    textures = enumerate(getattr(geometry, "textures", ()))
+    return arrays | {f"texture {n}": np.array(texture) for n, texture in textures}
+
+
+def from_arrays(geometry: Shape, arrays: Mapping[str, NDArray[Any]]) -> Shape:
+    """Fill an empty legacy mesh or cloud with the arrays of another; returns it."""
+    for name, array in arrays.items():
+        if name in _ARRAYS and array.size:
+            setattr(geometry, name, _ARRAYS[name](array))
+    textures: list[Any] = [array for name, array in arrays.items() if name not in _ARRAYS]
+    if textures and isinstance(geometry, o3d.geometry.TriangleMesh):
+        geometry.textures = [o3d.geometry.Image(texture) for texture in textures]
     return geometry
 
 

@@ -58,17 +58,22 @@ class ImageFile:
                     # A PNG's EXIF is looked for before its pixels only; getexif would decode them.
                     known = image.format != "PNG" or "exif" in image.info
                     orientation = image.getexif().get(_ORIENTATION, 1) if known else 1
-                    width, height = image.size
+                    (width, height), kind = image.size, image.format
         except Image.DecompressionBombError:
             height, width = self._stored(cv2.IMREAD_GRAYSCALE).shape
-            orientation = 1
+            orientation, kind = 1, None
         except (UnidentifiedImageError, OSError, ValueError, SyntaxError):
             raise DataError(f"{self.path}: not a readable image") from None
+        if kind == "TIFF" and orientation in _TURNS:  # OpenCV 5.0 fails on those
+            raise DataError(f"{self.path}: a TIFF that is stored turned is not supported; save it upright")
         return width, height, orientation if orientation in _TURNS and not self.stored_orientation else 1
 
     def version(self) -> tuple[str, bool, int, int]:
         """Key that changes when the file is written again."""
-        found = self.path.stat()
+        try:
+            found = self.path.stat()
+        except OSError as error:
+            raise DataError(f"{self.path}: no such image ({error.strerror})") from None
         return str(self.path), self.stored_orientation, found.st_mtime_ns, found.st_size
 
     def fingerprint(self) -> str:

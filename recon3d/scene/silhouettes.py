@@ -192,7 +192,8 @@ class _Segmented(ComputedMask):
 
 def _grab_cut(view: View, level: float, within: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Object pixels of a view: those surely above the level, inside a mask, and what GrabCut adds at the rim."""
-    likely = foreground(view.image, level) & within
+    picture = view.image
+    likely = foreground(picture, level) & within
     labels = np.where(likely, cv2.GC_PR_FGD, cv2.GC_PR_BGD).astype(np.uint8)
     labels[cv2.erode(likely.astype(np.uint8), _disc(_RIM)) > 0] = cv2.GC_FGD
     labels[~within] = cv2.GC_BGD
@@ -202,7 +203,7 @@ def _grab_cut(view: View, level: float, within: NDArray[np.bool_]) -> NDArray[np
     cut = np.s_[top : top + height, left : left + width]
     part = np.ascontiguousarray(labels[cut])
     object_model, background_model = np.zeros((1, 65)), np.zeros((1, 65))
-    image = np.ascontiguousarray(view.image[cut])
+    image = np.ascontiguousarray(picture[cut])
     cv2.setRNGSeed(0)  # of this thread; GrabCut starts its clusters at random
     cv2.grabCut(image, part, (0, 0, 0, 0), background_model, object_model, 2, cv2.GC_INIT_WITH_MASK)
     mask = np.zeros_like(within)
