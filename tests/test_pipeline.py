@@ -2,6 +2,7 @@
 
 import json
 import math
+import pickle
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,6 +12,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 import recon3d
+from recon3d.io.geometry import geometry_arrays
 
 
 @pytest.fixture(scope="module")
@@ -48,6 +50,17 @@ def test_what_is_saved_reads_back_as_it_was(result: recon3d.Reconstruction, tmp_
     volume = recon3d.CarvingVolume.from_voxel_grid(grid, shape=result.carved.volume.shape)
     np.testing.assert_array_equal(volume.occupied, result.carved.volume.occupied)
     np.testing.assert_array_equal(volume.colors, result.carved.volume.colors)
+
+
+def test_a_reconstruction_pickles(result: recon3d.Reconstruction) -> None:
+    copy = pickle.loads(pickle.dumps(result))  # noqa: S301
+    assert copy.scene == result.scene
+    assert copy.carved == result.carved
+    assert copy.summary() == result.summary()
+    for before, after in ((result.mesh, copy.mesh), (result.points, copy.points)):
+        assert type(after) is type(before)
+        for name, array in geometry_arrays(before).items():
+            np.testing.assert_array_equal(geometry_arrays(after)[name], array)
 
 
 def test_the_record_holds_every_parameter_version_timing_and_figure(
