@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 from recon3d.scene.bounds import Bounds
 from recon3d.scene.camera import Camera
+from recon3d.scene.photograph import Photograph
 
 
 class CalibratedImage(NamedTuple):
@@ -16,14 +17,14 @@ class CalibratedImage(NamedTuple):
 
     name: str
     """Of the view."""
-    path: Path
-    """Of the image file."""
+    photograph: Photograph
+    """Names the file, and whether it is to be read as it is stored; no pixels."""
     camera: Camera
 
 
 @dataclass(frozen=True)
 class Calibrated:
-    """Cameras and image paths, and what else a format knows; ``open_scene`` makes a scene of it."""
+    """Cameras and photographs, and what else a format knows; ``open_scene`` makes a scene of it."""
 
     name: str
     images: tuple[CalibratedImage, ...]

@@ -35,7 +35,7 @@ def is_middlebury(folder: Path) -> bool:
 
 
 def read_middlebury(folder: Path) -> Calibrated:
-    """Cameras, image paths, box and masks of a Middlebury multi-view set.
+    """Cameras, photographs, box and masks of a Middlebury multi-view set.
 
     Raises
     ------
@@ -149,14 +149,15 @@ def _read_images(par_file: Path) -> tuple[CalibratedImage, ...]:
         name, path = fields[0], par_file.parent / fields[0]
         if not path.is_file():
             raise DataError(f"{where}: image {path} is missing")
-        camera = _camera(fields[1:], Photograph(path).size, where)
+        photograph = Photograph(path)
+        camera = _camera(fields[1:], photograph.size, where)
         first = images[0] if images else None
         if first and (camera.width, camera.height) != (first.camera.width, first.camera.height):
             raise DataError(
                 f"{where}: expected {name} to have {first.camera.width}x{first.camera.height} pixels like "
                 f"{first.name}, got {camera.width}x{camera.height}"
             )
-        images.append(CalibratedImage(name, path, camera))
+        images.append(CalibratedImage(name, photograph, camera))
     return tuple(images)
 
 

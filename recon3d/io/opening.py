@@ -14,7 +14,6 @@ from recon3d.errors import DataError, SceneError
 from recon3d.io.calibrated import Calibrated
 from recon3d.io.middlebury import is_middlebury, read_middlebury
 from recon3d.scene.bounds import Bounds
-from recon3d.scene.photograph import Photograph
 from recon3d.scene.scene import Scene
 from recon3d.scene.silhouettes import (
     bounds_mask,
@@ -82,7 +81,7 @@ def open_scene(
         raise DataError(found.no_bounds)
     named = str(silhouettes) not in (*_MADE, "none")
     scene = Scene(
-        tuple(View(image.camera, Photograph(image.path), None, image.name) for image in found.images),
+        tuple(View(image.camera, image.photograph, None, image.name) for image in found.images),
         box,
         found.name,
         found.mm_per_unit if mm_per_unit is None else mm_per_unit,

@@ -38,7 +38,13 @@ BACKGROUND_LEVEL = 0.19
 
 def foreground(image: NDArray[np.uint8], level: float = BACKGROUND_LEVEL) -> NDArray[np.bool_]:
     """Pixels of an RGB image whose brightest channel is above a fraction of white."""
-    return np.asarray(image.max(axis=2) > level * 255)
+    return brightness(image) > level * 255
+
+
+def brightness(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """(height, width) brightest channel of an RGB image."""
+    red, green, blue = cv2.split(image)
+    return np.asarray(cv2.max(cv2.max(red, green), blue), np.uint8)
 
 
 def bounds_mask(bounds: Bounds, view: View) -> NDArray[np.bool_]:
@@ -142,6 +148,9 @@ class _Background(ByContent):
     _level: Once[float] = field(default_factory=Once, init=False, repr=False, compare=False)
     _fingerprint: Once[str] = field(default_factory=Once, init=False, repr=False, compare=False)
 
+    def __hash__(self) -> int:
+        return hash((len(self.views), self.bounds))  # every view's mask asks for it
+
     @property
     def level(self) -> float:
         """Fraction of white that 99% of its pixels do not exceed."""
@@ -160,7 +169,7 @@ class _Background(ByContent):
 
     def _histogram(self, view: View) -> NDArray[np.int64]:
         """(256,) number of background pixels of each brightness, that of the brightest channel."""
-        return np.bincount(view.image[~bounds_mask(self.bounds, view)].max(axis=1), minlength=256)
+        return np.bincount(brightness(view.image)[~bounds_mask(self.bounds, view)], minlength=256)
 
     def fingerprint(self) -> str:
         """Text that tells the bounds and all photographs."""
