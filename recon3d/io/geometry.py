@@ -11,7 +11,7 @@ import open3d as o3d
 import trimesh
 from numpy.typing import NDArray
 
-from recon3d.errors import DataError
+from recon3d.errors import ArgumentError, DataError
 from recon3d.io.files import atomic_path
 
 Shape = TypeVar("Shape", bound=o3d.geometry.TriangleMesh | o3d.geometry.PointCloud)
@@ -56,17 +56,19 @@ def write_geometry(
 
     Raises
     ------
-    ValueError : the geometry cannot be written in that format.
+    ArgumentError : the geometry cannot be written in that format.
     OSError : the file could not be written.
     """
     path = Path(path)
     allowed = MESH_SUFFIXES if isinstance(geometry, o3d.geometry.TriangleMesh) else (".ply",)
     if path.suffix.lower() not in allowed:
-        raise ValueError(f"{path}: a {type(geometry).__name__} is written as {', '.join(allowed)}")
+        raise ArgumentError(f"{path}: a {type(geometry).__name__} is written as {', '.join(allowed)}")
     if support is not None and (
         not isinstance(geometry, o3d.geometry.TriangleMesh) or support.shape != (len(geometry.vertices),)
     ):
-        raise ValueError(f"{path}: expected a number for each vertex of a mesh as support, got shape {support.shape}")
+        raise ArgumentError(
+            f"{path}: expected a number for each vertex of a mesh as support, got shape {support.shape}"
+        )
     with atomic_path(path) as temporary:
         if isinstance(geometry, o3d.geometry.TriangleMesh):
             if path.suffix.lower() == ".ply":

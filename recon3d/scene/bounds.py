@@ -9,6 +9,8 @@ import numpy as np
 import open3d as o3d
 from numpy.typing import ArrayLike, NDArray
 
+from recon3d.errors import ArgumentError
+
 
 @dataclass(frozen=True, init=False)
 class Bounds:
@@ -16,7 +18,7 @@ class Bounds:
 
     Raises
     ------
-    ValueError : a corner is not three finite numbers.
+    ArgumentError : a corner is not three finite numbers.
     """
 
     low: tuple[float, float, float]
@@ -27,7 +29,7 @@ class Bounds:
     def __init__(self, low: ArrayLike, high: ArrayLike) -> None:
         corners = np.asarray(low, np.float64), np.asarray(high, np.float64)
         if any(corner.shape != (3,) or not np.isfinite(corner).all() for corner in corners):
-            raise ValueError(f"expected two corners of three finite numbers, got {low!r} and {high!r}")
+            raise ArgumentError(f"expected two corners of three finite numbers, got {low!r} and {high!r}")
         object.__setattr__(self, "low", tuple(np.minimum(*corners).tolist()))
         object.__setattr__(self, "high", tuple(np.maximum(*corners).tolist()))
 
@@ -41,7 +43,7 @@ class Bounds:
         try:
             low, high = box
         except (TypeError, ValueError):
-            raise ValueError(f"expected Bounds, an AxisAlignedBoundingBox or two corners, got {box!r}") from None
+            raise ArgumentError(f"expected Bounds, an AxisAlignedBoundingBox or two corners, got {box!r}") from None
         return cls(low, high)
 
     @property

@@ -9,6 +9,7 @@ import numpy as np
 import open3d as o3d
 from numpy.typing import ArrayLike, NDArray
 
+from recon3d.errors import ArgumentError
 from recon3d.values import ByContent
 
 ROTATION_TOLERANCE = 1e-3  # published matrices are rounded
@@ -24,7 +25,7 @@ class Camera(ByContent):
 
     Raises
     ------
-    ValueError : K is no intrinsic matrix, the pose is not rigid, or the size or the number of coefficients is wrong.
+    ArgumentError : K is no intrinsic matrix, the pose is not rigid, or the size or the number of coefficients is wrong.
     """
 
     K: NDArray[np.float64]
@@ -43,7 +44,7 @@ class Camera(ByContent):
     ) -> None:
         intrinsic, given = np.array(K, np.float64), np.asarray(cam_from_world, np.float64)
         if intrinsic.shape != (3, 3) or given.shape not in ((3, 4), (4, 4)):
-            raise ValueError(
+            raise ArgumentError(
                 f"expected a 3x3 K and a 3x4 or 4x4 cam_from_world, got shapes {intrinsic.shape} and {given.shape}"
             )
         extrinsic = np.eye(4)
@@ -57,7 +58,7 @@ class Camera(ByContent):
                 f"expected 4, 5, 8, 12 or 14 finite distortion coefficients, or none, got {coefficients}"
             )
         if problem:
-            raise ValueError(problem)
+            raise ArgumentError(problem)
         intrinsic.setflags(write=False)
         extrinsic.setflags(write=False)
         object.__setattr__(self, "K", intrinsic)
@@ -131,7 +132,7 @@ class Camera(ByContent):
 def scaled_size(width: int, height: int, scale: float) -> tuple[int, int]:
     """Width and height at a scale, rounded to whole pixels, at least one."""
     if not 0 < scale <= 1:
-        raise ValueError(f"expected a scale above 0 and at most 1, got {scale}")
+        raise ArgumentError(f"expected a scale above 0 and at most 1, got {scale}")
     return max(1, round(scale * width)), max(1, round(scale * height))
 
 

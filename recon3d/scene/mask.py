@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from recon3d.errors import ArgumentError
 from recon3d.scene.camera import Camera
 from recon3d.scene.image_file import ImageFile
 from recon3d.scene.photograph import array_fingerprint
@@ -54,7 +55,7 @@ class ArrayMask(ByContent, Mask):
 
     def __init__(self, mask: NDArray[np.bool_]) -> None:
         if mask.ndim != 2 or mask.dtype != np.bool_:
-            raise ValueError(f"expected a bool mask (height, width), got {mask.shape} {mask.dtype}")
+            raise ArgumentError(f"expected a bool mask (height, width), got {mask.shape} {mask.dtype}")
         object.__setattr__(self, "shape", mask.shape)
         object.__setattr__(self, "bits", np.packbits(mask))
 

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from recon3d.errors import ArgumentError
 from recon3d.scene.camera import Camera, scaled_size
 from recon3d.scene.image_file import ImageFile
 from recon3d.scene.pixel_cache import PIXELS
@@ -29,7 +30,7 @@ class Photograph(ByContent):
     Raises
     ------
     DataError : the file is missing or unreadable.
-    ValueError : an array is no (height, width, 3) uint8 RGB image.
+    ArgumentError : an array is no (height, width, 3) uint8 RGB image.
     """
 
     source: ImageFile | NDArray[np.uint8] = field(repr=False)
@@ -40,7 +41,9 @@ class Photograph(ByContent):
             source = ImageFile(Path(source), stored_orientation)
         if isinstance(source, np.ndarray):
             if source.dtype != np.uint8 or source.ndim != 3 or source.shape[2] != 3:
-                raise ValueError(f"expected an (height, width, 3) uint8 RGB image, got {source.shape} {source.dtype}")
+                raise ArgumentError(
+                    f"expected an (height, width, 3) uint8 RGB image, got {source.shape} {source.dtype}"
+                )
             source = source.view()
             source.setflags(write=False)
         object.__setattr__(self, "source", source)

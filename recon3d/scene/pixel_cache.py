@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 
 _SHARE, _MOST = 8, 4 * 2**30  # part of the machine's memory, and bytes
 
+from recon3d.errors import ArgumentError
+
 
 class PixelCache:
     """Read-only arrays by key, those least recently asked for dropped first; safe to use from several threads."""
@@ -35,7 +37,7 @@ class PixelCache:
     @limit.setter
     def limit(self, limit: int) -> None:
         if limit < 0:
-            raise ValueError(f"expected a limit of 0 bytes or more, got {limit}")
+            raise ArgumentError(f"expected a limit of 0 bytes or more, got {limit}")
         with self._lock:
             self._limit = limit
             self._drop()

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from recon3d.errors import SceneError
+from recon3d.errors import ArgumentError, SceneError
 from recon3d.scene.bounds import Bounds
 from recon3d.scene.packed import PackedViews
 from recon3d.scene.view import View
@@ -46,7 +46,7 @@ class Scene(ByContent, Summarised):
             raise SceneError(f"scene {self.name}: views share a name: {', '.join(repeated)}")
         object.__setattr__(self, "notes", dict(self.notes))
         if not 0 < self.mm_per_unit < np.inf:
-            raise ValueError(f"scene {self.name}: expected mm_per_unit > 0, got {self.mm_per_unit}")
+            raise ArgumentError(f"scene {self.name}: expected mm_per_unit > 0, got {self.mm_per_unit}")
         object.__setattr__(self, "bounds", Bounds.of(self.bounds))
         if self.bounds.extent.min() <= 0:
             raise SceneError(f"scene {self.name}: expected bounds with three positive sides, got {self.bounds.extent}")

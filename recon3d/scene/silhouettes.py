@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from recon3d.errors import DataError
+from recon3d.errors import ArgumentError, DataError
 from recon3d.scene.bounds import Bounds
 from recon3d.scene.image_file import ImageFile
 from recon3d.scene.mask import ComputedMask, FileMask, Mask
@@ -81,9 +81,9 @@ def with_threshold_silhouettes(
     only : names of the views to treat; the others get none. All when None.
     """
     if not 0 < level < 1:
-        raise ValueError(f"expected a level between 0 and 1, got {level}")
+        raise ArgumentError(f"expected a level between 0 and 1, got {level}")
     if min(dilate, erode, fill) < 0:
-        raise ValueError(f"expected radii of 0 pixels or more, got dilate={dilate}, erode={erode}, fill={fill}")
+        raise ArgumentError(f"expected radii of 0 pixels or more, got dilate={dilate}, erode={erode}, fill={fill}")
     return _with_masks(scene, lambda view: _Threshold(view, scene.bounds, level, dilate, erode, fill), only)
 
 

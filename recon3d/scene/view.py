@@ -10,6 +10,7 @@ import numpy as np
 import open3d as o3d
 from numpy.typing import ArrayLike, NDArray
 
+from recon3d.errors import ArgumentError
 from recon3d.scene.camera import Camera
 from recon3d.scene.mask import Mask
 from recon3d.scene.photograph import Photograph
@@ -27,7 +28,7 @@ class View(ByContent, Summarised):
 
     Raises
     ------
-    ValueError : camera, photograph and mask do not fit together.
+    ArgumentError : camera, photograph and mask do not fit together.
     """
 
     calibration: Camera
@@ -50,11 +51,11 @@ class View(ByContent, Summarised):
             camera, photograph = Camera.of(calibration), Photograph.of(photograph)
             mask = None if mask is None else Mask.of(mask)
         except ValueError as error:
-            raise ValueError(f"view {name}: {error}") from None
+            raise ArgumentError(f"view {name}: {error}") from None
         expected = (camera.width, camera.height)
         for what, size in (("image", photograph.size), ("silhouette", mask.size if mask else expected)):
             if size != expected:
-                raise ValueError(
+                raise ArgumentError(
                     f"view {name}: the camera is for {camera.width}x{camera.height} pixels, "
                     f"the {what} has {size[0]}x{size[1]}"
                 )
@@ -79,7 +80,7 @@ class View(ByContent, Summarised):
             photograph = Photograph.of(image)
             camera = Camera(K, cam_from_world, *photograph.size, distortion)
         except ValueError as error:
-            raise ValueError(f"view {name}: {error}") from None
+            raise ArgumentError(f"view {name}: {error}") from None
         return cls(camera, photograph, silhouette, name)
 
     @property
