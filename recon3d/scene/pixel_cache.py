@@ -10,9 +10,9 @@ from typing import Any
 import psutil
 from numpy.typing import NDArray
 
-_SHARE, _MOST = 8, 4 * 2**30  # part of the machine's memory, and bytes
-
 from recon3d.errors import ArgumentError
+
+_SHARE, _MOST = 8, 4 * 2**30  # part of the machine's memory, and bytes
 
 
 class PixelCache:
