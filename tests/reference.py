@@ -10,6 +10,7 @@ from math import ceil, floor
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates
 
 from recon3d.rendering.renderer import pixel_rays
 from recon3d.scene.scene import Scene
@@ -220,3 +221,101 @@ def matching_neighbours_twin(scene: Scene, most: int) -> list[list[int]]:
                 others.append(other)
         chosen.append(others[:most])
     return chosen
+
+
+def point_at(view: View, pixel: Pixel, depth: float) -> NDArray[np.float64]:
+    """World point (3,) that a pixel shows at a depth along the optical axis."""
+    in_camera = depth * np.linalg.inv(view.K) @ [*pixel, 1]
+    return np.asarray(np.linalg.inv(view.cam_from_world) @ [*in_camera, 1])[:3]
+
+
+def nearest_sample(view: View, point: NDArray[np.float64], stride: int, shape: tuple[int, ...]) -> Pixel | None:
+    """Row and column of the sample, of every stride-th pixel, that is nearest to a world point's image."""
+    (pixel,), (depth,) = view.project(point[None])
+    column, row = (floor(place / stride + 0.5) for place in pixel)
+    return (row, column) if depth > 0 and 0 <= row < shape[0] and 0 <= column < shape[1] else None
+
+
+def best_depth_twin(
+    scene: Scene,
+    grey: NDArray[np.float32],
+    pixel: Pixel,
+    nearest: float,
+    farthest: float,
+    step: float,
+    *,
+    radius: int,
+    spacing: int,
+    min_deviation: float,
+) -> tuple[float, float]:
+    """Depth of the first view's pixel at which its window correlates best with the other views, and that score.
+
+    The score is the mean of the two best correlations, -1 where nothing can be compared. Between tried depths the
+    vertex of the parabola through the best and its two neighbours counts.
+    """
+    view, others = scene.views[0], scene.views[1:]
+    side = [spacing * n for n in range(-(radius // spacing), radius // spacing + 1)]
+    window = [(pixel[0] + du, pixel[1] + dv) for dv in side for du in side]
+    if not all(in_image(view, place) for place in window):
+        return np.nan, -1.0
+    own = np.array([float(grey[0, v, u]) for u, v in window])
+    if own.std() < min_deviation:
+        return np.nan, -1.0
+    depths = nearest + step * np.arange(floor((farthest - nearest) / step) + 1)
+    scores = []
+    for depth in depths:
+        points = np.array([point_at(view, place, depth) for place in window])
+        correlations = []
+        for other, image in zip(others, grey[1:], strict=True):
+            places, before = other.project(points)
+            size = np.array([other.width, other.height])
+            seen = map_coordinates(image[: size[1], : size[0]].astype(np.float64), places.T[::-1], order=1)
+            inside = (before > 0).all() and (places >= 0).all() and (places <= size - 1).all()
+            comparable = inside and seen.std() > 1e-3
+            correlations.append(np.corrcoef(own, seen)[0, 1] if comparable else -1.0)
+        scores.append(np.mean(sorted(correlations)[-2:]))
+    best = int(np.argmax(scores))
+    if scores[best] <= -1:
+        return np.nan, -1.0
+    offset = 0.0
+    if 0 < best < len(scores) - 1 and min(scores[best - 1], scores[best + 1]) > -1:
+        a, b, _ = np.polyfit([-1, 0, 1], scores[best - 1 : best + 2], 2)
+        offset = -b / (2 * a)
+    return float(depths[best] + offset * step), float(scores[best])
+
+
+def agreements_twin(scene: Scene, depths: NDArray[np.float32], stride: int, tolerance: float) -> NDArray[np.int64]:
+    """(n_views, rows, columns) in how many other depth maps a pixel's point has its own depth."""
+    counts = np.zeros(depths.shape, np.int64)
+    for (n, row, column), depth in np.ndenumerate(depths):
+        if depth > 0:
+            point = point_at(scene.views[n], (stride * column, stride * row), float(depth))
+            for j, other in enumerate(scene.views):
+                at = nearest_sample(other, point, stride, depths.shape[1:])
+                if j != n and at and depths[j][at] > 0:
+                    counts[n, row, column] += abs(depths[j][at] - other.project(point[None])[1][0]) <= tolerance
+    return counts
+
+
+def fused_depths_twin(
+    scene: Scene,
+    points: NDArray[np.float64],
+    depths: NDArray[np.float32],
+    weights: NDArray[np.float32],
+    stride: int,
+    truncation: float,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Weighted mean (n,) of how far world points (n, 3) lie behind the depth maps, and the sum (n,) of the weights."""
+    distance, support = np.zeros(len(points)), np.zeros(len(points))
+    for n, point in enumerate(points):
+        votes = []
+        for view, depth_map, weight_map in zip(scene.views, depths, weights, strict=True):
+            at = nearest_sample(view, point, stride, depths.shape[1:])
+            if at and weight_map[at] > 0:
+                behind = float(view.project(point[None])[1][0]) - float(depth_map[at])
+                if behind <= truncation:
+                    votes.append((max(behind, -truncation), float(weight_map[at])))
+        if votes:
+            behind_all, weights_all = np.transpose(votes)
+            distance[n], support[n] = np.average(behind_all, weights=weights_all), weights_all.sum()
+    return distance, support

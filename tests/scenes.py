@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
+import manifold3d as m3d
 import numpy as np
 import open3d as o3d
 from numpy.typing import NDArray
@@ -46,6 +47,24 @@ def box_mesh(x: float, y: float, z: float) -> o3d.geometry.TriangleMesh:
 def two_planes_mesh() -> o3d.geometry.TriangleMesh:
     """A small plate above a large one: the upper hides a part of the lower."""
     return box_mesh(2.0, 1.6, 0.3).translate((0, 0, -0.5)) + box_mesh(0.8, 0.7, 0.3).translate((0.1, 0.1, 0.5))
+
+
+def box_with_cavity(center: tuple[float, float, float], size: tuple[float, float, float]) -> o3d.geometry.TriangleMesh:
+    """Box of 1.6 x 1.6 x 1.2 around the origin, less a smaller one: open where that one ends outside."""
+    whole = m3d.Manifold.cube((1.6, 1.6, 1.2), True) - m3d.Manifold.cube(size, True).translate(center)
+    surface = whole.to_mesh()
+    return o3d.geometry.TriangleMesh(
+        o3d.utility.Vector3dVector(np.array(surface.vert_properties[:, :3], np.float64)),
+        o3d.utility.Vector3iVector(np.array(surface.tri_verts, np.int32)),
+    )
+
+
+def depth_inside(points: NDArray[np.float64], mesh: o3d.geometry.TriangleMesh) -> NDArray[np.float64]:
+    """Distance (n,) of points (n, 3) to a closed mesh's surface, positive inside."""
+    caster = o3d.t.geometry.RaycastingScene()
+    caster.add_triangles(o3d.t.geometry.TriangleMesh.from_legacy(mesh))
+    found = caster.compute_signed_distance(o3d.core.Tensor.from_numpy(points.astype(np.float32)), nsamples=3)
+    return -found.numpy().astype(np.float64)
 
 
 def stripes(points: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numba
 import numpy as np
 import open3d as o3d
 import pytest
@@ -15,16 +14,14 @@ from scipy.spatial import cKDTree
 
 from recon3d.carving.generalized import GeneralizedVoxelColoring
 from recon3d.carving.item_buffer import ItemBuffer
-from recon3d.carving.method import Method
 from recon3d.carving.start import hull_distance, outline_distance
 from recon3d.carving.visual_hull import VisualHull
-from recon3d.carving.vote_carving import VoteCarving
 from recon3d.carving.voxel_coloring import VoxelColoring
 from recon3d.consistency.base import Patches, Verdict
 from recon3d.consistency.deviation import StandardDeviation
 from recon3d.datasets.synthetic import BuiltInScene, little_temple
 from recon3d.errors import EmptyReconstructionError, SceneError
-from recon3d.evaluation.distances import distance_to_mesh, evaluate
+from recon3d.evaluation.distances import distance_to_mesh
 from recon3d.scene.bounds import Bounds
 from recon3d.scene.scene import Scene
 from recon3d.scene.silhouettes import without_silhouettes
@@ -108,9 +105,8 @@ def test_a_wrong_silhouette_is_tolerated(temple: BuiltInScene) -> None:
 
 def test_no_silhouettes_is_a_clear_error(temple: BuiltInScene) -> None:
     scene = without_silhouettes(temple.scene)
-    for method in (VisualHull(), VoteCarving()):
-        with pytest.raises(SceneError, match="needs silhouettes"):
-            method.carve(scene, volume_of(scene, 5000))
+    with pytest.raises(SceneError, match="needs silhouettes"):
+        VisualHull().carve(scene, volume_of(scene, 5000))
 
 
 def test_what_lies_outside_an_image_is_unknown(temple: BuiltInScene) -> None:
@@ -209,38 +205,6 @@ def test_a_test_that_carves_everything_ends_in_a_clear_error(temple: BuiltInScen
 
     with pytest.raises(EmptyReconstructionError, match="carved all"):
         GeneralizedVoxelColoring(never).carve(temple.scene, volume_of(temple.scene, 3000))
-
-
-@pytest.mark.parametrize("method", [VisualHull(), GeneralizedVoxelColoring(), VoteCarving()])
-def test_one_thread_equals_two(method: Method, temple: BuiltInScene) -> None:
-    volume = volume_of(temple.scene, 30_000)
-    results = []
-    threads = numba.get_num_threads()
-    for count in (1, threads):
-        numba.set_num_threads(count)
-        results.append(method.carve(temple.scene, volume))
-    np.testing.assert_array_equal(results[0].labels, results[1].labels)
-    np.testing.assert_array_equal(results[0].volume.colors, results[1].volume.colors)
-
-
-def test_votes_make_the_hull_better_and_never_larger() -> None:
-    built_in = little_temple(width=320, height=240, noise=3, light_change=0.05)
-    scene = built_in.scene
-    volume = volume_of(scene, 300_000)
-    hull, voted = VisualHull().carve(scene, volume), VoteCarving().carve(scene, volume)
-    assert (voted.with_interior.occupied <= hull.with_interior.occupied).all()
-    before, after = (
-        evaluate(mesh_volume(h.with_interior, distance=h.distance), built_in.ground_truth, spacing=5e-4)
-        for h in (hull, voted)
-    )
-    assert after.accuracy_mm < before.accuracy_mm
-    assert after.completeness_percent > before.completeness_percent + 5
-
-
-def test_views_that_cannot_be_matched_are_refused(temple: BuiltInScene) -> None:
-    lone = replace(temple.scene, views=temple.scene.views[:1])
-    with pytest.raises(SceneError, match="no two views lie 5 to 60 degrees apart"):
-        VoteCarving().carve(lone, volume_of(lone, 3000))
 
 
 def test_a_mesh_can_be_cut_to_what_some_view_sees(temple: BuiltInScene) -> None:
