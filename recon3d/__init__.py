@@ -10,7 +10,8 @@ Camera
     P = K [R | t] takes them to pixels.
 Pixels
     (u, v) is (column, row), and pixel centres are at integers: pixel (0, 0) spans -0.5 to 0.5. Images are indexed
-    [row, column], uint8 RGB.
+    [row, column], uint8 RGB. Photographs and masks are set upright as their EXIF orientation says, and undistorted;
+    K, width and height are those of the upright, undistorted picture.
 Voxels
     Index (i, j, k) spans ``origin + size * (i, j, k)`` to ``origin + size * (i + 1, j + 1, k + 1)``, as in Open3D's
     ``VoxelGrid``.

@@ -10,7 +10,10 @@ import pytest
 from numpy.typing import NDArray
 from scenes import rotation
 
+from recon3d.scene.bounds import Bounds
 from recon3d.scene.camera import Camera
+from recon3d.scene.scene import Scene
+from recon3d.scene.silhouettes import with_segmented_silhouettes, with_threshold_silhouettes
 from recon3d.scene.view import View
 
 K = np.array([[105.0, 2.5, 47.0], [0, 98.0, 36.5], [0, 0, 1]])
@@ -111,6 +114,7 @@ def test_an_undistorted_view_shows_what_a_pinhole_camera_with_the_same_matrix_wo
     expected = pattern(np.stack([u, v], -1).astype(float))
     # Where the pincushion's photograph ends, its border goes on.
     inside = lens.undistorted(np.full((72, 96), 255, np.uint8), beyond=0) == 255
+    assert inside[lens.shown()].mean() > 0.95
     assert inside.mean() > 0.8
     assert np.abs(view.image[..., 0] - expected)[inside].max() < 2.5  # bilinear, of rounded levels
     assert np.abs(taken - expected)[inside].max() > 25
@@ -124,6 +128,10 @@ def test_what_an_undistorted_photograph_does_not_show_may_be_object() -> None:
     pincushion = camera((0.3, 0.0, 0.0, 0.0))
     nothing = View(pincushion, np.zeros((72, 96, 3), np.uint8), np.zeros((72, 96), np.bool_)).silhouette
     assert nothing is not None
-    shown = pincushion.undistorted(np.full((72, 96), 255, np.uint8), beyond=0) > 127
+    shown = pincushion.shown()
     assert not shown.all()
     np.testing.assert_array_equal(nothing, ~shown)
+    dark = Scene((View(pincushion, np.zeros((72, 96, 3), np.uint8)),), Bounds([-1, -1, -1], [1, 1, 1]))
+    for computed in (with_threshold_silhouettes(dark), with_segmented_silhouettes(dark)):
+        np.testing.assert_array_equal(computed.views[0].silhouette, ~shown)
+    assert camera().shown().all()

@@ -338,6 +338,16 @@ def test_views_whose_file_names_would_be_the_same_do_not_overwrite_each_other(tm
     assert [view.image[0, 0, 0] for view in read.views] == [90, 200]
 
 
+def test_views_in_folders_make_the_round_trip(temple: BuiltInScene, tmp_path: Path) -> None:
+    names = [f"{folder}/{n}.png" for folder in ("a", "b") for n in range(4)]
+    views = tuple(replace(view, name=name) for view, name in zip(temple.scene.views, names, strict=True))
+    read = open_scene(write_middlebury(replace(temple.scene, views=views), tmp_path / "set"))
+    assert [view.name for view in read.views] == [name.replace("/", "_") for name in names]
+    for view, original in zip(read.views, temple.scene.views, strict=True):
+        np.testing.assert_array_equal(view.image, original.image)
+        np.testing.assert_array_equal(view.silhouette, original.silhouette)
+
+
 @pytest.mark.parametrize(
     ("name", "n_views", "good"), [("templeSparseRing", 16, 16), ("dinoSparseRing", 16, 15), ("templeRing", 47, 47)]
 )

@@ -89,6 +89,14 @@ def test_pictures_show_the_object_on_white(result: recon3d.Reconstruction, tmp_p
     assert len(list(written["views"].iterdir())) == 4 * len(result.scene.views)
 
 
+def test_pictures_of_views_in_folders_do_not_overwrite_each_other(
+    result: recon3d.Reconstruction, tmp_path: Path
+) -> None:
+    views = tuple(replace(view, name=f"{n}/001.png") for n, view in enumerate(result.scene.views))
+    written = recon3d.save_pictures(result.mesh, replace(result.scene, views=views), tmp_path, every_view=True)
+    assert len(list(written["views"].iterdir())) == 4 * len(views)
+
+
 def test_filling_what_is_hidden_makes_the_mesh_solid(temple: recon3d.BuiltInScene) -> None:
     settings = recon3d.Settings(n_voxels=60_000, carving=recon3d.VoxelColoring())
     shell = recon3d.reconstruct(temple.scene, settings)

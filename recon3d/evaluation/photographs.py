@@ -157,8 +157,9 @@ def _compare(renderer: Renderer, view: View, step: int, *, colored: bool) -> Rep
 
     hit = compared = pixels.hit
     intersection = union = 0
-    if view.silhouette is not None:
-        silhouette = view.silhouette[taken]
+    whole = view.silhouette
+    if whole is not None:
+        silhouette = whole[taken]
         compared = hit & silhouette
         intersection, union = int(np.count_nonzero(compared)), int(np.count_nonzero(hit | silhouette))
     shown = (255 * renderer.colors(pixels)[compared]).astype(np.float32) if colored else np.empty((0, 3), np.float32)

@@ -104,7 +104,7 @@ class Silhouettes:
         known = 0  # outlines are of the views with a silhouette
         for view in self.scene.views:
             inside = np.inf
-            if view.silhouette is not None:
+            if view.has_silhouette:
                 projections, sizes, scales, distances = (array[known : known + 1] for array in outlines)
                 inside = distance_at(*center, projections, sizes, scales, distances, np.empty(1))
                 known += 1

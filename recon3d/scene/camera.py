@@ -128,6 +128,10 @@ class Camera(ByContent):
         found = cv2.remap(picture, u.astype(np.float32), v.astype(np.float32), cv2.INTER_LINEAR, **border)
         return np.asarray(found, np.uint8)
 
+    def shown(self) -> NDArray[np.bool_]:
+        """(height, width) pixels of the undistorted picture that the photograph shows."""
+        return self.undistorted(np.full((self.height, self.width), 255, np.uint8), beyond=0) > 127
+
 
 def scaled_size(width: int, height: int, scale: float) -> tuple[int, int]:
     """Width and height at a scale, rounded to whole pixels, at least one."""

@@ -110,6 +110,6 @@ class ComputedMask(ByContent, Mask):
     def compute(self) -> NDArray[np.bool_]:
         """The mask, from pixels."""
 
-    def read(self, camera: Camera) -> NDArray[np.bool_]:  # noqa: ARG002
+    def read(self, camera: Camera) -> NDArray[np.bool_]:
         """What is computed, or was before."""
-        return self.made.get(lambda: ArrayMask(self.compute())).unpacked()
+        return self.made.get(lambda: ArrayMask(self.compute() | ~camera.shown())).unpacked()
