@@ -11,7 +11,7 @@ def test_the_example_of_an_own_test_runs() -> None:
     assert len(examples) == 1
     names: dict[str, object] = {}
     exec(examples[0], names)  # noqa: S102
-    assert names["hull"].volume.n_occupied > 1000  # type: ignore[attr-defined]
+    assert names["carved"].volume.n_occupied > 1000  # type: ignore[attr-defined]
 
 
 def test_every_command_that_the_readme_types_exists() -> None:
