@@ -124,6 +124,8 @@ def carve_to_agreement(
         if not len(changed) and not len(carved):
             break
         state.carve(carved)
+    if progress:
+        progress(max_rounds, max_rounds)
 
 
 def _rejected(state: CarvingState, test: ConsistencyTest, voxels: NDArray[np.int64]) -> NDArray[np.int64]:
