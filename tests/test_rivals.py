@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from batches import outcome, patches_of, random_batch
 from numpy.typing import ArrayLike
-from recon3d.carving.coarse_to_fine import FineGeneralizedVoxelColoring
 from scipy.stats import chi2, f
 
+from recon3d.carving.fine_generalized import FineGeneralizedVoxelColoring
 from recon3d.carving.generalized import GeneralizedVoxelColoring
 from recon3d.carving.method import JudgingMethod
 from recon3d.carving.space_carving import SpaceCarving
