@@ -119,5 +119,5 @@ class Reconstruction(Summarised):
         }
 
     def picture(self) -> NDArray[np.uint8]:
-        """The mesh from four sides."""
+        """(height, width, 3) RGB picture of the mesh from four sides."""
         return turntable(self.scene, Renderer(self.mesh), frames=4, size=200)

@@ -20,7 +20,7 @@ class Summarised(ABC):
         """Rows of the table."""
 
     def picture(self) -> NDArray[np.uint8] | None:
-        """RGB picture, or None."""
+        """(height, width, 3) RGB picture, or None."""
         return None
 
     def __repr__(self) -> str:
@@ -53,7 +53,7 @@ def _image_html(picture: NDArray[np.uint8], style: str) -> str:
 
 
 def grid_html(title: str, rows: Sequence[Sequence[str]], notes: str, picture: NDArray[np.uint8]) -> str:
-    """HTML of a titled table with a heading row and a heading column, with notes and an RGB picture below it."""
+    """HTML of a titled table with a heading row and column, above notes and an RGB picture (height, width, 3)."""
     heading, *body = rows
     cells = "".join(f"<th>{html.escape(name)}</th>" for name in heading)
     lines = [f"<tr>{cells}</tr>"]
@@ -65,7 +65,7 @@ def grid_html(title: str, rows: Sequence[Sequence[str]], notes: str, picture: ND
 
 
 def labelled_row(label: str, images: list[NDArray[np.uint8]], *, width: int) -> NDArray[np.uint8]:
-    """Equally wide RGB pictures beside a label, word by word below each other, on white."""
+    """(height, width, 3) equally wide RGB pictures beside a label, word by word below each other, on white."""
     pictures = thumbnails(images, width=width, columns=len(images))
     row = np.full((max(pictures.shape[0], 20 * len(label.split()) + 8), width + pictures.shape[1], 3), 255, np.uint8)
     for n, word in enumerate(label.split()):
@@ -75,7 +75,7 @@ def labelled_row(label: str, images: list[NDArray[np.uint8]], *, width: int) -> 
 
 
 def thumbnails(images: Iterable[NDArray[np.uint8]], *, width: int, columns: int) -> NDArray[np.uint8]:
-    """One RGB picture of equally wide thumbnails, row by row, padded with white."""
+    """(height, width, 3) RGB picture of equally wide thumbnails, row by row, padded with white."""
     small = []
     for image in images:
         height = max(1, round(image.shape[0] * width / image.shape[1]))

@@ -157,7 +157,7 @@ class BrickItems(SeenItems):
         self.n_places = self.bricks.n_places
 
     def advance(self) -> NDArray[np.int64]:
-        """Move all rays on to their first voxel occupied now; places, ascending, of voxels newly hit."""
+        """Move all rays on to their first voxel occupied now; places (n,), ascending, of voxels newly hit."""
         volume, views = self.bricks, self.views
         touched = np.zeros(0, np.bool_)
         while True:

@@ -88,28 +88,28 @@ class GeneralizedVoxelColoring(JudgingMethod):
 
 
 class CarvingState(Protocol):
-    """Voxels under generalised voxel colouring, by flat numbers that stay theirs, whatever they are kept in."""
+    """Voxels under generalised voxel colouring, by flat numbers (n,) that stay theirs, whatever they are kept in."""
 
     views: PackedViews
     voxel_size: float
 
     def advance(self) -> NDArray[np.int64]:
-        """Let pixels see past what was carved; the voxels that some pixel newly sees, ascending."""
+        """Let pixels see past what was carved; the voxels (n,) that some pixel newly sees, ascending."""
 
     def patches(self, voxels: NDArray[np.int64]) -> Patches:
-        """All pixels that see voxels now."""
+        """All pixels that see voxels (n,) now."""
 
     def centers(self, voxels: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Middles (n, 3) of voxels in the world."""
+        """Middles (n, 3) of voxels (n,) in the world."""
 
     def note(self, voxels: NDArray[np.int64], patches: Patches, verdict: Verdict) -> None:
-        """Keep what the test says of voxels; a later verdict replaces an earlier one."""
+        """Keep what the test says of voxels (n,); a later verdict replaces an earlier one."""
 
     def unsupported(self) -> NDArray[np.int64]:
-        """Visible voxels in components of visible voxels that hold no consistent one."""
+        """Visible voxels (n,) in components of visible voxels that hold no consistent one."""
 
     def carve(self, voxels: NDArray[np.int64]) -> None:
-        """Empty voxels."""
+        """Empty voxels (n,)."""
 
 
 def carve_to_agreement(

@@ -28,7 +28,7 @@ class SeenItems:
         self._rank = np.empty(0, np.int32)
 
     def patches(self, voxels: NDArray[np.int64]) -> Patches:
-        """Visible pixels of voxels given by their flat indices; every one of them must be seen by some pixel."""
+        """Visible pixels of voxels given by their flat indices (n,); every one of them must be seen by some pixel."""
         if len(self._rank) != self.n_places:
             self._rank = np.full(self.n_places, -1, np.int32)
         self._rank[voxels] = np.arange(len(voxels), dtype=np.int32)
@@ -47,7 +47,7 @@ class SeenItems:
         return seen
 
     def visible(self) -> NDArray[np.int64]:
-        """Flat indices, ascending, of the voxels that some pixel sees."""
+        """(n,) flat indices, ascending, of the voxels that some pixel sees."""
         return np.flatnonzero(self.visible_mask())
 
 
@@ -71,7 +71,10 @@ class ItemBuffer(SeenItems):
         self._entered = False
 
     def advance(self, occupied: NDArray[np.bool_]) -> NDArray[np.int64]:
-        """Move all rays on to their first voxel occupied now; flat indices, ascending, of voxels newly hit."""
+        """Move all rays on to their first voxel of those occupied now, (nx, ny, nz).
+
+        Returns the flat indices (n,), ascending, of the voxels newly hit.
+        """
         touched = np.zeros(occupied.size, np.bool_)
         advance(occupied, self.origin, self.size, self.views.centers, self.views.world_from_pixel, self.items, touched)
         if not self._entered:  # rays that enter the volume at an occupied voxel hit it without a step

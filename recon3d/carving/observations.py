@@ -37,7 +37,7 @@ class UnclaimedPixels:
         return boxes, counts, in_frame
 
     def patches(self, boxes: NDArray[np.int32], counts: NDArray[np.int64]) -> Patches:
-        """P(v) of every voxel of a batch, by its ``footprints``."""
+        """P(v) of every voxel of a batch, by the boxes (n, n_views, 4) and counts (n, n_views) of ``footprints``."""
         view_starts = starts_of(counts)
         colors = np.empty((int(view_starts[-1, -1]) if view_starts.size else 0, 3), np.uint8)
         gather(boxes, view_starts, self.mask, self.views.images, colors)

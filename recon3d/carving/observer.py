@@ -71,7 +71,7 @@ class VoxelWatcher:
         self.judgements: list[Judgement] = []
 
     def judged(self, voxels: NDArray[np.int64], patches: Patches, verdict: Verdict, shown: Shown) -> None:
-        """Keep the verdict on the voxel, where it is in the batch."""
+        """Keep the verdict on the voxel, where it is in the batch (n, 3)."""
         for n in np.flatnonzero((voxels == self.voxel).all(axis=1)):
             pixels = shown(self.voxel)
             votes = tuple(
@@ -82,7 +82,7 @@ class VoxelWatcher:
             self.judgements.append(Judgement(degree, low, high, votes))
 
     def resolving(self, labels: NDArray[np.uint8]) -> None:
-        """Keep how the voxel, where it is a candidate, is connected."""
+        """Keep how the voxel, where it is a candidate by the labels (nx, ny, nz), is connected."""
         if labels[self.voxel] == CANDIDATE:
             path, n_connected = path_to_consistent(labels, self.voxel, self.offsets)
             self.judgements[-1] = replace(self.judgements[-1], path=path, n_connected=n_connected)
@@ -91,7 +91,10 @@ class VoxelWatcher:
 def path_to_consistent(
     labels: NDArray[np.uint8], voxel: Voxel, offsets: NDArray[np.int64]
 ) -> tuple[tuple[Voxel, ...], int]:
-    """Shortest way from a candidate through candidates to a consistent voxel, and how many candidates were met."""
+    """Shortest way from a candidate through candidates to a consistent voxel, and how many candidates were met.
+
+    By the labels (nx, ny, nz), in index steps (n, 3).
+    """
     steps = [tuple(int(x) for x in step) for step in offsets]
     before: dict[Voxel, Voxel | None] = {voxel: None}
     queue = deque([voxel])

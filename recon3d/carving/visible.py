@@ -11,7 +11,7 @@ from recon3d.volume.carved import CarvedVolume, Label
 
 
 def color_visible(hull: CarvedVolume, buffer: ItemBuffer, occupied: NDArray[np.bool_]) -> None:
-    """Accept the occupied voxels that some pixel sees, in the mean colour of its pixels."""
+    """Accept the occupied voxels (nx, ny, nz) that some pixel sees, in the mean colour of its pixels."""
     buffer.advance(occupied)
     visible = buffer.visible()
     patches = buffer.patches(visible)

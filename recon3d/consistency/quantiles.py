@@ -15,7 +15,10 @@ def chi_square_limits(p: float, degrees: NDArray[np.int64]) -> NDArray[np.float6
 
 
 def f_limits(p: float, between: NDArray[np.int64], within: NDArray[np.int64]) -> NDArray[np.float64]:
-    """What an F variable exceeds with probability p; 0 for 0 degrees between; none within stands for infinity."""
+    """(n,) what an F variable exceeds with probability p, from its degrees of freedom (n,) between and within.
+
+    0 for 0 degrees between; 0 within stands for infinitely many.
+    """
     pairs = between * (1 << 32) + within
     known, where = np.unique(pairs, return_inverse=True)
     return np.array([_f(p, *divmod(int(pair), 1 << 32)) for pair in known], np.float64)[where]

@@ -92,7 +92,7 @@ def ring(
     elevation: float = 20.0,
     arc: float = 360.0,
 ) -> list[Camera]:
-    """Cameras on an arc (degrees) around the vertical axis through a point, at an elevation (degrees) above it."""
+    """Cameras on an arc (degrees) around the vertical axis through a point (3,), at an elevation (degrees) above it."""
     K = np.array([[focal, 0.4, (width - 1) / 2 + 3.3], [0, 1.004 * focal, (height - 1) / 2 - 2.1], [0, 0, 1]])
     rise = np.radians(elevation)
     step = arc / n_views if arc >= 360 else arc / max(n_views - 1, 1)

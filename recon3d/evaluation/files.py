@@ -61,7 +61,7 @@ def read_ground_truth(
     valid_within_mm: float = 0.1,
     mm_per_unit: float = 1000.0,
 ) -> tuple[o3d.geometry.TriangleMesh | o3d.geometry.PointCloud, NDArray[np.bool_] | None]:
-    """Mesh or point cloud to measure against, and the mask of its ``valid`` part; see ``evaluate_files``.
+    """Mesh or point cloud to measure against, and the mask (n,) of its ``valid`` part; see ``evaluate_files``.
 
     Raises
     ------

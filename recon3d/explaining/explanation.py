@@ -191,7 +191,10 @@ class Explanation(Summarised):
         return rows | {f"view {view.name}": self.describe(view) for view in self.views}
 
     def picture(self) -> NDArray[np.uint8]:
-        """The voxel's boxes in the photographs, the pixels' luminances, degree and thresholds, and the neighbours."""
+        """(height, width, 3) RGB picture.
+
+        The voxel's boxes in the photographs, the pixels' luminances, degree and thresholds, and the neighbours.
+        """
         low = np.array(self.voxel) - 1
         labels = np.full((3, 3, 3), -1)
         degrees = np.full((3, 3, 3), np.nan)

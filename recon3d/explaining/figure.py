@@ -58,7 +58,7 @@ def draw_explanation(
     judgements: Sequence[Judgement],
     neighbours: NeighbourSlices,
 ) -> NDArray[np.uint8]:
-    """RGB picture of everything.
+    """(height, width, 3) RGB picture of everything.
 
     Parameters
     ----------

@@ -39,7 +39,7 @@ def _umask() -> int:
 
 
 def write_image(path: Path | str, image: NDArray[np.uint8] | NDArray[np.bool_]) -> Path:
-    """Write an RGB image, or a mask as black and white; returns the path."""
+    """Write an RGB image (height, width, 3), or a mask (height, width) as black and white; returns the path."""
     pixels = np.asarray(image, np.uint8) * np.uint8(255 if image.dtype == np.bool_ else 1)
     if pixels.ndim == 3:
         pixels = pixels[..., ::-1]  # OpenCV writes BGR

@@ -74,7 +74,7 @@ class Renderer:
         self._caster = caster or RayCaster(mesh)
 
     def render(self, K: NDArray[np.float64], cam_from_world: NDArray[np.float64], width: int, height: int) -> Rendering:
-        """View of a camera with the full K (skew too), pixel centres at integers."""
+        """View of a camera with the full K (3, 3), skew too, and cam_from_world (4, 4); pixel centres at integers."""
         seen = self.cast(K, cam_from_world, width, height)
         normals, cosine = self.normals(seen)
         return Rendering(seen.hit, seen.depth.astype(np.float64), normals, self.colors(seen), cosine)
@@ -84,7 +84,7 @@ class Renderer:
         return self.render(view.K, view.cam_from_world, view.width, view.height)
 
     def cast(self, K: NDArray[np.float64], cam_from_world: NDArray[np.float64], width: int, height: int) -> SeenPixels:
-        """Where the rays of a camera's pixels meet the mesh, from which the rest is interpolated."""
+        """Where the rays of the pixels of a camera, K (3, 3) and cam_from_world (4, 4), meet the mesh."""
         center, directions = pixel_rays(K, cam_from_world, width, height)
         return SeenPixels(*self._caster.first_hits(center, directions), directions)
 

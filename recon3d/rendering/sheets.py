@@ -13,7 +13,7 @@ from recon3d.scene.view import View
 
 
 def comparison_sheet(scene: Scene, renderer: Renderer, *, views: int = 4, width: int = 320) -> NDArray[np.uint8]:
-    """RGB sheet: a row for each of some evenly chosen views: photograph, coloured, shaded, normals, depth."""
+    """(height, width, 3) RGB sheet: photograph, colours, shading, normals and depth of some evenly chosen views."""
     chosen = np.unique(np.linspace(0, len(scene.views) - 1, min(views, len(scene.views))).round().astype(int))
     rows = []
     for n in chosen:
@@ -28,7 +28,7 @@ def comparison_sheet(scene: Scene, renderer: Renderer, *, views: int = 4, width:
 def turntable(
     scene: Scene | None, renderer: Renderer, *, frames: int = 8, size: int = 320, mode: str = "colored"
 ) -> NDArray[np.uint8]:
-    """RGB strip of the mesh seen from all around, about the axis that a scene's cameras stand around.
+    """(height, width, 3) RGB strip of the mesh seen from all around, about the axis that the cameras stand around.
 
     Without a scene, about the longest side of the mesh's box.
     """
@@ -44,7 +44,7 @@ def turntable(
 
 
 def portrait(picture: NDArray[np.uint8], view: View, scene: Scene) -> NDArray[np.uint8]:
-    """A picture from a view's camera, cut to what the scene's bounds cover and turned by quarters so that up is up."""
+    """A picture (height, width, 3) from a view's camera, cut to the scene's bounds and turned by quarters, upright."""
     corners, depths = view.project(scene.bounds.corners)
     if (depths > 0).all():
         size = np.array([view.width, view.height])

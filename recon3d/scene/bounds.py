@@ -14,7 +14,7 @@ from recon3d.errors import ArgumentError
 
 @dataclass(frozen=True, init=False)
 class Bounds:
-    """Axis-aligned box, from two opposite corners in world units; any two, they are sorted.
+    """Axis-aligned box, from two opposite corners (3,) in world units; any two, they are sorted.
 
     Raises
     ------

@@ -20,8 +20,9 @@ _N_COEFFICIENTS = (0, 4, 5, 8, 12, 14)  # that OpenCV knows
 class Camera(ByContent):
     """K, pose and size of a photograph in pixels, with the distortion of its lens.
 
-    K and pose are those of the pinhole camera that the undistorted photograph is of. It has the same K and the same
-    size as the photograph itself: the scale at the principal point is kept, and what leaves the frame is cut off.
+    K (3, 3) and pose, (4, 4) or (3, 4), are those of the pinhole camera that the undistorted photograph is of. It has
+    the same K and the same size as the photograph itself: the scale at the principal point is kept, and what leaves the
+    frame is cut off.
 
     Raises
     ------

@@ -46,12 +46,12 @@ class Mask(ABC):
 
 @dataclass(frozen=True, init=False, eq=False)
 class ArrayMask(ByContent, Mask):
-    """A mask in memory."""
+    """A mask (height, width) in memory."""
 
     shape: tuple[int, int]
     """Height and width."""
     bits: NDArray[np.uint8] = field(repr=False)
-    """Packed, eight pixels a byte."""
+    """(n,) the pixels, packed: eight a byte."""
 
     def __init__(self, mask: NDArray[np.bool_]) -> None:
         if mask.ndim != 2 or mask.dtype != np.bool_:
@@ -69,7 +69,7 @@ class ArrayMask(ByContent, Mask):
         return np.unpackbits(self.bits, count=self.shape[0] * self.shape[1]).reshape(self.shape).view(np.bool_)
 
     def read(self, camera: Camera) -> NDArray[np.bool_]:
-        """The mask, undistorted."""
+        """(height, width) the mask, undistorted."""
         mask = self.unpacked()
         return camera.undistorted(255 * mask.view(np.uint8), beyond=255) > 127 if camera.distortion else mask
 
@@ -90,7 +90,7 @@ class FileMask(Mask):
         return self.file.size
 
     def read(self, camera: Camera) -> NDArray[np.bool_]:
-        """The pixels brighter than the middle grey, undistorted."""
+        """(height, width) the pixels brighter than the middle grey, undistorted."""
         key = ("mask", self.file.version(), camera if camera.distortion else None)
         return PIXELS.get(key, lambda: camera.undistorted(self.file.decode(grey=True), beyond=255) > 127)
 
@@ -108,8 +108,8 @@ class ComputedMask(ByContent, Mask):
 
     @abstractmethod
     def compute(self) -> NDArray[np.bool_]:
-        """The mask, from pixels."""
+        """(height, width) the mask, from pixels."""
 
     def read(self, camera: Camera) -> NDArray[np.bool_]:
-        """What is computed, or was before."""
+        """(height, width) what is computed, or was before."""
         return self.made.get(lambda: ArrayMask(self.compute() | ~camera.shown())).unpacked()

@@ -59,7 +59,7 @@ class Photograph(ByContent):
 
     @classmethod
     def of(cls, source: Photograph | Path | str | NDArray[np.uint8]) -> Photograph:
-        """The photograph itself, or that of a file or of an array."""
+        """The photograph itself, or that of a file or of an array (height, width, 3)."""
         return source if isinstance(source, Photograph) else cls(source)
 
     @property

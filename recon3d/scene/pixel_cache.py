@@ -43,7 +43,7 @@ class PixelCache:
             self._drop()
 
     def get(self, key: Hashable, make: Callable[[], NDArray[Any]], *, keep: bool = True) -> NDArray[Any]:
-        """The array of a key, made where it is not kept, and then kept for the next one to ask."""
+        """The array, of any shape, of a key, made where it is not kept, and then kept for the next one to ask."""
         with self._lock:
             if key in self._arrays:
                 self._arrays.move_to_end(key)

@@ -122,6 +122,6 @@ class Scene(ByContent, Summarised):
         }
 
     def picture(self) -> NDArray[np.uint8]:
-        """Photographs, small; some evenly chosen ones of many views."""
+        """(height, width, 3) RGB photographs, small; some evenly chosen ones of many views."""
         chosen = np.unique(np.linspace(0, len(self.views) - 1, min(_PICTURED, len(self.views))).round().astype(int))
         return thumbnails((self.views[n].image for n in chosen), width=120, columns=4)

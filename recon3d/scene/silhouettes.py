@@ -37,7 +37,7 @@ BACKGROUND_LEVEL = 0.19
 
 
 def foreground(image: NDArray[np.uint8], level: float = BACKGROUND_LEVEL) -> NDArray[np.bool_]:
-    """Pixels of an RGB image whose brightest channel is above a fraction of white."""
+    """(height, width) pixels of an RGB image whose brightest channel is above a fraction of white."""
     return brightness(image) > level * 255
 
 
@@ -266,7 +266,7 @@ def without_silhouettes(scene: Scene) -> Scene:
 
 
 def overlay(scene: Scene, view: View) -> NDArray[np.uint8]:
-    """RGB photograph with what its silhouette excludes tinted blue and the outline of the bounds in yellow."""
+    """(height, width, 3) RGB photograph, blue where its silhouette excludes, the outline of the bounds in yellow."""
     picture = view.image.copy()
     silhouette = view.silhouette
     if silhouette is not None:

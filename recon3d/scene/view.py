@@ -22,9 +22,9 @@ from recon3d.values import ByContent
 class View(ByContent, Summarised):
     """One calibrated photograph.
 
-    ``View(camera, image, silhouette, name)`` takes Open3D's ``PinholeCameraParameters``, an RGB array and a bool mask,
-    or a ``Camera`` and image files. A view is of the undistorted photograph: that is what ``image``, ``silhouette``,
-    ``K`` and ``camera`` show.
+    ``View(camera, image, silhouette, name)`` takes Open3D's ``PinholeCameraParameters``, an RGB array
+    (height, width, 3) and a bool mask (height, width), or a ``Camera`` and image files. A view is of the undistorted
+    photograph: that is what ``image``, ``silhouette``, ``K`` and ``camera`` show.
 
     Raises
     ------
@@ -75,7 +75,7 @@ class View(ByContent, Summarised):
         distortion: ArrayLike = (),
         name: str = "view",
     ) -> View:
-        """View from a 3x3 K and a 3x4 or 4x4 world-to-camera transform (OpenCV axes: x right, y down, z forward)."""
+        """View from K (3, 3) and a world-to-camera transform, (3, 4) or (4, 4); x points right, y down, z forward."""
         try:
             photograph = Photograph.of(image)
             camera = Camera(K, cam_from_world, *photograph.size, distortion)
@@ -104,11 +104,11 @@ class View(ByContent, Summarised):
         return self.mask is not None
 
     def image_at(self, scale: float) -> NDArray[np.uint8]:
-        """The image at a scale of at most 1: a pixel is the mean of what it covers."""
+        """(height, width, 3) RGB at a scale of at most 1: a pixel is the mean of what it covers."""
         return self.photograph.read(scale, camera=self.calibration)
 
     def silhouette_at(self, scale: float) -> NDArray[np.bool_] | None:
-        """The silhouette at a scale of at most 1: a pixel may be object where anything that it covers may."""
+        """(height, width) silhouette at a scale of at most 1: a pixel may be object where any that it covers may."""
         if self.mask is None:
             return None
         whole = self.mask.read(self.calibration)
@@ -182,5 +182,5 @@ class View(ByContent, Summarised):
         }
 
     def picture(self) -> NDArray[np.uint8]:
-        """The photograph."""
+        """(height, width, 3) RGB photograph."""
         return self.image

@@ -61,7 +61,7 @@ class Comparison(Summarised):
     """What was the same for all: scene, settings, names of the views used and of those left out, for a JSON file."""
     trials: tuple[Trial, ...]
     sheet: NDArray[np.uint8]
-    """RGB contact sheet: the photographs above what each test made of them, from the same cameras."""
+    """(height, width, 3) RGB contact sheet: the photographs, and what each test made of them from the same cameras."""
 
     def table(self) -> list[list[str]]:
         """Heading and one row for each test; a column of which nothing is known is left out."""
@@ -120,7 +120,7 @@ class Comparison(Summarised):
         }
 
     def picture(self) -> NDArray[np.uint8]:
-        """The contact sheet."""
+        """(height, width, 3) RGB contact sheet."""
         return self.sheet
 
     def _repr_html_(self) -> str:

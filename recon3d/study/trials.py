@@ -95,7 +95,7 @@ class TrialSetup:
     """Of ``evaluate``."""
 
     def run(self, entry: Variant, progress: Progress) -> tuple[Trial, NDArray[np.uint8]]:
-        """Figures of a test, and its row of the contact sheet."""
+        """Figures of a test, and its row (height, width, 3) of the contact sheet."""
         settings = replace(self.settings, carving=replace(self.method, test=entry.test))
         try:
             self._warm_up(settings)
@@ -113,7 +113,7 @@ class TrialSetup:
         return self._measured(entry, result, peak.mib), row
 
     def row(self, label: str, pictures: Sequence[NDArray[np.uint8]]) -> NDArray[np.uint8]:
-        """A row of the contact sheet: a picture from each camera, of the object alone."""
+        """A row (height, width, 3) of the contact sheet: a picture from each camera, of the object alone."""
         views = self.shown.views
         cut = [portrait(picture, view, self.used) for picture, view in zip(pictures, views, strict=True)]
         return labelled_row(label, cut, width=PICTURE_WIDTH)

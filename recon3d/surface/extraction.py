@@ -44,7 +44,8 @@ def mesh_volume(
     Parameters
     ----------
     colors_from : volume whose occupied voxels lend their colours; the volume itself when None.
-    distance, smoothing : of the shape, see ``mesh_shape``.
+    distance : (nx, ny, nz), and
+    smoothing : of the shape, see ``mesh_shape``.
     """
     mesh = mesh_shape(volume, distance=distance, smoothing=smoothing)
     colors = nearest_colors(colors_from or volume, np.asarray(mesh.vertices))

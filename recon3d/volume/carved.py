@@ -64,7 +64,7 @@ class Carved(Protocol):
         """Table of what is left."""
 
     def picture(self) -> NDArray[np.uint8]:
-        """What is left, seen along the three axes."""
+        """(height, width, 3) RGB picture of what is left, seen along the three axes."""
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -85,7 +85,7 @@ class CarvedVolume(ByContent, Summarised):
 
     @classmethod
     def untouched(cls, volume: CarvingVolume | Lattice, distance: NDArray[np.float32] | None = None) -> CarvedVolume:
-        """Nothing judged and nothing accepted yet, on a lattice or that of a volume."""
+        """Nothing judged or accepted yet, on a lattice or that of a volume, with the distance (nx, ny, nz) if known."""
         shape = volume.shape
         return cls(
             volume=CarvingVolume(
@@ -161,5 +161,5 @@ class CarvedVolume(ByContent, Summarised):
         return {**self.volume.summary(), **{name: f"{number:,}" for name, number in self.counts().items()}}
 
     def picture(self) -> NDArray[np.uint8]:
-        """The accepted voxels seen along the three axes."""
+        """(height, width, 3) RGB picture of the accepted voxels seen along the three axes."""
         return self.volume.picture()

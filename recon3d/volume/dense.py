@@ -144,7 +144,7 @@ class CarvingVolume(ByContent, Summarised):
         return self.occupied & ~inner
 
     def with_occupancy(self, occupied: NDArray[np.bool_]) -> CarvingVolume:
-        """The same lattice and colours with other voxels occupied."""
+        """The same lattice and colours with other voxels (nx, ny, nz) occupied."""
         return replace(self, occupied=occupied)
 
     def summary(self) -> dict[str, object]:
@@ -156,7 +156,7 @@ class CarvingVolume(ByContent, Summarised):
         }
 
     def picture(self) -> NDArray[np.uint8]:
-        """The occupied voxels seen along the three axes."""
+        """(height, width, 3) RGB picture of the occupied voxels seen along the three axes."""
         return thumbnails([self._seen_along(axis) for axis in range(3)], width=200, columns=3)
 
     def _seen_along(self, axis: int) -> NDArray[np.uint8]:

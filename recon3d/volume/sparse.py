@@ -201,7 +201,7 @@ class SparseVolume(ByContent, Summarised):
         }
 
     def picture(self) -> NDArray[np.uint8]:
-        """The surface's voxels seen along the three axes."""
+        """(height, width, 3) RGB picture of the surface's voxels seen along the three axes."""
         surface = self.surface()
         voxels, colors = self.voxels(surface), self.colors[surface]
         step = -(-max(self.shape) // 200)
@@ -237,5 +237,5 @@ def stored_bricks(slots: NDArray[np.int32]) -> NDArray[np.int64]:
 
 
 def count_occupied(slots: NDArray[np.int32], occupied: NDArray[np.bool_]) -> int:
-    """Number of occupied voxels, stored or in solid bricks."""
+    """Number of occupied voxels: stored ones (n, 8, 8, 8), and those of solid bricks in the slots (bx, by, bz)."""
     return int(np.count_nonzero(occupied)) + int(np.count_nonzero(slots == SOLID)) * BRICK**3
