@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterator
+from concurrent.futures import Executor
 from contextlib import contextmanager
-from pathlib import Path
+from dataclasses import fields
+from functools import partial
 from time import perf_counter
 
 import numpy as np
@@ -13,21 +14,23 @@ import open3d as o3d
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from recon3d.carving.method import Method
 from recon3d.carving.observer import Observer
+from recon3d.consistency.spec import identity
 from recon3d.errors import EmptyReconstructionError
 from recon3d.evaluation.distances import evaluate
 from recon3d.evaluation.photographs import measure_quality
-from recon3d.io.checkpoints import Checkpoints, code_fingerprint
 from recon3d.rendering.ray_caster import RayCaster
 from recon3d.result import Reconstruction
 from recon3d.scene.scene import Scene
 from recon3d.settings import Settings, choose_views
-from recon3d.stereo.refinement import Stages, refine
+from recon3d.stereo.refinement import refine
 from recon3d.surface.extraction import mesh_shape, mesh_sparse, surface_points
 from recon3d.surface.poisson import MeasuredSpace, mesh_points
 from recon3d.surface.repair import Repairs, repair_mesh
 from recon3d.surface.vertex_colors import color
 from recon3d.surface.visibility import VertexVisibility
+from recon3d.tasks import Kept, Store, content_key, once
 from recon3d.tasks import Progress as StepProgress
 from recon3d.volume.carved import Carved, CarvedVolume
 from recon3d.volume.lattice import Lattice
@@ -45,15 +48,18 @@ def reconstruct(
     settings: Settings | None = None,
     *,
     ground_truth: o3d.geometry.TriangleMesh | None = None,
-    stages: Stages | None = None,
+    checkpoints: Store | None = None,
+    executor: Executor | None = None,
     progress: Progress | None = None,
 ) -> Reconstruction:
     """Carve, match, mesh, measure by the photographs and, given one in the scene's frame, by a ground truth.
 
     Parameters
     ----------
-    stages : what an interrupted run finished is taken from here, and what this one finishes is put here; of the same
-        scene and settings, see ``recon3d.io.Checkpoints``.
+    checkpoints : such as ``Checkpoints(folder)``. Finished carving, depth maps and passes of matching are kept here,
+        and taken from here where all that they depend on is the same: an interrupted run resumes.
+    executor : matches several views at a time, see ``recon3d.tasks.map``; the result is the same.
+    progress : called after each step of a stage.
 
     Raises
     ------
@@ -70,13 +76,13 @@ def reconstruct(
     with _timed(timings, "carving"):
         lattice = settings.lattice(scene)
         hull = kept_carving(
-            scene, lattice, settings, stages, progress=lambda done, total: report("carving", done, total)
+            scene, lattice, settings, checkpoints, progress=lambda done, total: report("carving", done, total)
         )
     sharp, passes, meshing = None, settings.passes_for(scene), settings.meshing
     if passes:
         with _timed(timings, "matching"):
             sharp, hull = refine(
-                scene, hull.dense(), passes=passes, stages=stages,
+                scene, hull.dense(), passes=passes, checkpoints=checkpoints, executor=executor,
                 progress=lambda done, total: report("matching", done, total),
             )  # fmt: skip
     with _timed(timings, "surface"):
@@ -115,20 +121,6 @@ def reconstruct(
     return Reconstruction(
         scene, settings, hull, points, confidence, mesh, support, repairs, timings, quality, evaluation
     )
-
-
-def keep_stages(folder: Path | str, scene: Scene, settings: Settings) -> Checkpoints | None:
-    """Stages of a run in a folder, for ``reconstruct``; None where a photo-consistency test decides.
-
-    A test may be a user's own and change without a trace; carving by one is done again.
-    """
-    settings = settings.resolved(scene)
-    scene = choose_views(scene, settings)
-    if settings.method_for(scene).uses_test:
-        return None
-    told = {name: value for name, value in settings.record().items() if name != "meshing"}
-    chosen_by = json.dumps(told, sort_keys=True)
-    return Checkpoints(folder, f"{code_fingerprint()} {scene.fingerprint()} {chosen_by}")
 
 
 def _supported(
@@ -172,20 +164,29 @@ def kept_carving(
     scene: Scene,
     lattice: Lattice,
     settings: Settings,
-    stages: Stages | None = None,
+    checkpoints: Store | None = None,
     *,
     progress: StepProgress | None = None,
     observer: Observer | None = None,
 ) -> Carved:
-    """Carve a lattice as the settings say, or take what an earlier run kept of that."""
-    if stages is not None and "carving" in stages:
-        arrays = stages["carving"]
-        kind = SparseVolume if "slots" in arrays else CarvedVolume
-        return kind.from_arrays(lattice, arrays)
-    carved = settings.method_for(scene).carve(scene, lattice, progress=progress, observer=observer)
-    if stages is not None:
-        stages["carving"] = carved.arrays()
-    return carved
+    """Carve a lattice as the settings say, or take what an earlier run kept of that.
+
+    Carving by a test that cannot be told from others by its source is done again each time.
+    """
+    method = settings.method_for(scene)
+    options = _content(method)
+    kept: Kept[Carved] = Kept(
+        checkpoints if options else None, content_key(scene, lattice, options), lambda carved: carved.arrays(),
+        lambda arrays: (SparseVolume if "slots" in arrays else CarvedVolume).from_arrays(lattice, arrays),
+    )  # fmt: skip
+    return once(partial(method.carve, progress=progress, observer=observer), "carving", (scene, lattice), kept=kept)
+
+
+def _content(method: Method) -> dict[str, object] | None:
+    """What makes a method carve as it does, its test by its source; None where that cannot be told."""
+    options = {option.name: getattr(method, option.name) for option in fields(method)}
+    tests = {name: identity(value) for name, value in options.items() if callable(value)}
+    return None if None in tests.values() else {"method": type(method).__qualname__, **options, **tests}
 
 
 @contextmanager

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import platform
 from dataclasses import dataclass, fields
-from importlib.metadata import version
 from typing import Any
 
 import numpy as np
@@ -21,6 +20,7 @@ from recon3d.scene.scene import Scene
 from recon3d.settings import Settings
 from recon3d.summary import Summarised
 from recon3d.surface.repair import Repairs, triangle_areas
+from recon3d.tasks import versions
 from recon3d.volume.carved import Carved
 
 
@@ -76,11 +76,7 @@ class Reconstruction(Summarised):
         lattice = self.carved.lattice
         return {
             "recon3d": __version__,
-            "versions": {
-                "python": platform.python_version(),
-                **{name: version(name) for name in ("numpy", "numba", "scipy", "opencv-python-headless")},
-                "open3d": o3d.__version__,
-            },
+            "versions": {"python": platform.python_version(), **versions()},
             "scene": {
                 "name": self.scene.name,
                 "views": [view.name for view in self.scene.views],

@@ -107,7 +107,7 @@ def test_the_surface_may_be_made_again_from_the_stages_that_are_kept(photographs
     run(*command)
     assert chosen() == [len(PASSES), "poisson", True]
     made = {path.name: path.stat().st_mtime_ns for path in (tmp_path / "stages").iterdir()}
-    assert len(made) == 1 + 3 * len(PASSES)  # carving, and every pass over three views
+    assert len(made) == 1 + (3 + 1) * len(PASSES)  # carving, and for every pass three views and what it found
     assert unsupported() > 0.2  # three views see a half of it
     run(*command, "--surface", "graph-cut", "--no-keep-unsupported")
     assert chosen() == [len(PASSES), "graph-cut", False]

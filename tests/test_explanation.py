@@ -341,16 +341,17 @@ def test_an_unknown_view_is_named_and_the_known_ones_too() -> None:
         explain(world(), settings_of("voxel-coloring"), pixel=("view77.png", 3, 3))
 
 
-def test_a_sharp_result_is_explained_with_what_matching_left(temple: BuiltInScene) -> None:
+def test_a_sharp_result_is_explained_with_what_matching_left(temple: BuiltInScene, tmp_path: Path) -> None:
     settings = Settings(n_voxels=8000, carving=recon3d.VisualHull(), matching=recon3d.PASSES)
-    stages: dict[str, dict[str, NDArray[np.generic]]] = {}
-    sharp = recon3d.reconstruct(temple.scene, settings, stages=stages)
-    carved, hull = stages["carving"]["labels"], sharp.carved
+    checkpoints = recon3d.Checkpoints(tmp_path)
+    sharp = recon3d.reconstruct(temple.scene, settings, checkpoints=checkpoints)
+    hull = sharp.carved.dense()
+    carved = recon3d.carve(temple.scene, settings.lattice(temple.scene), recon3d.VisualHull()).dense().labels
     away = np.argwhere((carved == Label.CONSISTENT) & (hull.labels == Label.INCONSISTENT))[0]
     bared = np.argwhere((carved == Label.HIDDEN) & (hull.labels == Label.CONSISTENT))[0]
     for voxel, outcome in ((away, "inconsistent: carved by matching, "), (bared, "consistent: kept, ")):
         low = hull.volume.origin + hull.volume.voxel_size * voxel
-        found = explain(temple.scene, settings, at=low + 0.5 * hull.volume.voxel_size, stages=stages)
+        found = explain(temple.scene, settings, at=low + 0.5 * hull.volume.voxel_size, checkpoints=checkpoints)
         assert found.carved.counts() == hull.counts()
         assert found.outcome().startswith(outcome)
         points = np.asarray(sharp.points.points)

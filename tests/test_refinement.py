@@ -28,8 +28,9 @@ from scipy.spatial import cKDTree
 import recon3d
 from recon3d import CarvedVolume, CarvingVolume, EmptyReconstructionError, Scene, SceneError, View
 from recon3d.datasets.synthetic import Camera
+from recon3d.scene.neighbours import matching_neighbours
 from recon3d.stereo.fusion import fuse
-from recon3d.stereo.patch_match import DepthMap, Matcher, Matching, plane_normals
+from recon3d.stereo.patch_match import DepthMap, Matching, guide_views, match_view, plane_normals
 from recon3d.stereo.refinement import refine
 from recon3d.surface.extraction import mesh_volume
 from recon3d.surface.poisson import MeasuredSpace, Surface, mesh_points
@@ -76,10 +77,20 @@ def hull(ball: Scene) -> CarvedVolume:
     return visual_hull(ball)
 
 
+FLAT = 0.0  # thickness of an object without cavities
+
+
+def surface_of(hull: CarvedVolume) -> o3d.geometry.TriangleMesh:
+    return mesh_volume(hull.with_interior, distance=hull.distance)
+
+
 @pytest.fixture(scope="module")
 def depth_maps(ball: Scene, hull: CarvedVolume) -> list[DepthMap]:
-    matcher = Matcher(ball, mesh_volume(hull.with_interior, distance=hull.distance), QUICK[0])
-    return [matcher.depth_map(n) for n in range(len(ball.views))]
+    guided, neighbours = guide_views(ball, surface_of(hull), QUICK[0].stride), matching_neighbours(ball, 6)
+    return [
+        match_view(view, [guided[other] for other in others], QUICK[0], footprint=ball.pixel_footprint, thickness=FLAT)
+        for view, others in zip(guided, neighbours, strict=True)
+    ]
 
 
 @pytest.fixture(scope="module")
@@ -212,9 +223,9 @@ def test_views_of_different_sizes_match(ball: Scene, hull: CarvedVolume) -> None
 def test_a_view_without_neighbours_and_a_black_one_do_no_harm(ball: Scene, hull: CarvedVolume) -> None:
     behind = photographs(ball_mesh(1, 48), grain, near(2, 225)).views[1]
     lonely = with_views(ball, (*ball.views, replace(behind, name="behind")))
-    matcher = Matcher(lonely, mesh_volume(hull.with_interior, distance=hull.distance), QUICK[0])
-    assert matcher.neighbours[-1] == []
-    assert (matcher.depth_map(6).costs == 2).all()
+    assert matching_neighbours(lonely)[-1] == []
+    view = guide_views(lonely, surface_of(hull), QUICK[0].stride)[-1]
+    assert (match_view(view, [], QUICK[0], footprint=lonely.pixel_footprint, thickness=FLAT).costs == 2).all()
     dark = replace(ball.views[2], photograph=np.zeros_like(ball.views[2].image))
     black = with_views(ball, [*ball.views[:2], dark, *ball.views[3:]])
     for scene in (lonely, black):

@@ -68,11 +68,12 @@ def run(
     scene: Scene, settings: Settings, ground_truth: o3d.geometry.TriangleMesh | None, stages: Path | None = None
 ) -> Reconstruction:
     """Reconstruct under progress bars, keeping finished stages in a folder where one is given."""
-    from recon3d.pipeline import keep_stages, reconstruct
+    from recon3d.io.checkpoints import Checkpoints
+    from recon3d.pipeline import reconstruct
 
-    kept = None if stages is None else keep_stages(stages, scene, settings)
+    kept = None if stages is None else Checkpoints(stages)
     with progress() as report:
-        return reconstruct(scene, settings, ground_truth=ground_truth, stages=kept, progress=report)
+        return reconstruct(scene, settings, ground_truth=ground_truth, checkpoints=kept, progress=report)
 
 
 def save(result: Reconstruction, folder: Path, formats: list[str], *, pictures: bool = True) -> dict[str, Path]:

@@ -421,8 +421,8 @@ def explain(
 ) -> None:
     """Say why a voxel was carved or kept: carve once more as recorded, and draw what decided."""
     from recon3d.explaining.explanation import explain as explain_voxel
+    from recon3d.io.checkpoints import Checkpoints
     from recon3d.io.files import write_image
-    from recon3d.pipeline import keep_stages
 
     place, clicked = numbers_of("--at", at, "three numbers X,Y,Z"), pixel_of(pixel)
     if (place is None) == (clicked is None):
@@ -432,10 +432,10 @@ def explain(
     scene = recorded_scene(result, record, silhouettes=record["silhouettes"] if record else "auto")
     folder = writable(output or beside(result, "explanations"))
     stages = beside(result, "stages")
-    kept = keep_stages(stages, scene, settings) if stages.is_dir() else None
+    kept = Checkpoints(stages) if stages.is_dir() else None
     with progress() as report:
         report("carving", 0, 1)
-        found = explain_voxel(scene, settings, at=place, pixel=clicked, stages=kept)
+        found = explain_voxel(scene, settings, at=place, pixel=clicked, checkpoints=kept)
         report("carving", 1, 1)
     kept_voxels = ("consistent", "hidden")
     if record and any(record["voxels"][name] != found.carved.counts()[name] for name in kept_voxels):

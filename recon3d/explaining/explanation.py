@@ -28,8 +28,9 @@ from recon3d.explaining.pointing import most_telling, place_text, voxel_at, voxe
 from recon3d.pipeline import kept_carving
 from recon3d.scene.scene import Scene
 from recon3d.settings import Settings, choose_views, method_name
-from recon3d.stereo.refinement import Stages, refine
+from recon3d.stereo.refinement import refine
 from recon3d.summary import Summarised
+from recon3d.tasks import Store
 from recon3d.volume.carved import CarvedVolume, Label
 from recon3d.volume.dense import CarvingVolume
 
@@ -217,7 +218,7 @@ def explain(
     *,
     at: ArrayLike | None = None,
     pixel: tuple[str, float, float] | None = None,
-    stages: Stages | None = None,
+    checkpoints: Store | None = None,
 ) -> Explanation:
     """Carve once more, and tell what became of one voxel and why.
 
@@ -233,7 +234,7 @@ def explain(
         nearest to being accepted: of those that were judged the one with the highest degree, else the one that the
         fewest silhouettes exclude. ``chosen`` says which it is, and which carved voxel before an accepted one had the
         highest degree: where a hole shows what lies behind it, ask about that one by ``at``.
-    stages : as for ``reconstruct``; without those that a run with dense matching kept, it matches once more.
+    checkpoints : as for ``reconstruct``; without those that a run with dense matching kept, it matches once more.
 
     Raises
     ------
@@ -248,7 +249,7 @@ def explain(
     scene = choose_views(scene, settings)
     method = settings.method_for(scene).dense()
     # What a sparse volume's stage holds does not tell why voxels were carved.
-    kept = stages if method == settings.carving else None
+    kept = checkpoints if method == settings.carving else None
     settings = replace(settings, carving=method)
     lattice, views = settings.lattice(scene), scene.packed
     volume = CarvingVolume.full(lattice)
@@ -257,7 +258,7 @@ def explain(
     if pixel is not None:
         ray = voxels_on_ray(scene, volume, pixel)
         carved = kept_carving(scene, lattice, settings, kept).dense()
-        hull, points = _matched(scene, carved, settings, stages)
+        hull, points = _matched(scene, carved, settings, checkpoints)
         voxel, chosen = most_telling(scene, views, hull, ray)
         chosen += _background(scene, pixel)
     else:
@@ -269,7 +270,7 @@ def explain(
     elif pixel is None:
         carved = kept_carving(scene, lattice, settings, kept).dense()
     if pixel is None:
-        hull, points = _matched(scene, carved, settings, stages)
+        hull, points = _matched(scene, carved, settings, checkpoints)
     evidence = view_evidence(scene, views, carved, watcher, asks=asks)
     found = Explanation(scene, settings, hull, voxel, tuple(watcher.judgements), evidence, chosen)
     if points is None:
@@ -279,13 +280,13 @@ def explain(
 
 
 def _matched(
-    scene: Scene, carved: CarvedVolume, settings: Settings, stages: Stages | None
+    scene: Scene, carved: CarvedVolume, settings: Settings, checkpoints: Store | None
 ) -> tuple[CarvedVolume, NDArray[np.float32] | None]:
     """Carved volume and, of a sharp result, points (n, 3): what matching leaves of it, with the degrees of carving."""
     passes = settings.passes_for(scene)
     if not passes:
         return carved, None
-    cloud, left = refine(scene, carved, passes=passes, stages=stages)
+    cloud, left = refine(scene, carved, passes=passes, checkpoints=checkpoints)
     distance = None if carved.distance is None else left.distance
     return replace(carved, volume=left.volume, labels=left.labels, distance=distance), cloud.point.positions.numpy()
 

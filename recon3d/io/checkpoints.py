@@ -1,11 +1,9 @@
-"""Finished stages of a run, kept in a folder so that an interrupted run can go on."""
+"""Finished results in a folder, so that an interrupted run resumes."""
 
 from __future__ import annotations
 
-import hashlib
 import zipfile
-from collections.abc import Iterable, Iterator, MutableMapping
-from functools import cache
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote, unquote
@@ -13,63 +11,52 @@ from urllib.parse import quote, unquote
 import numpy as np
 from numpy.typing import NDArray
 
-from recon3d.io.files import atomic_path
+from recon3d.io.files import atomic_path, remove_leftovers
+from recon3d.tasks import Arrays
 
 _KEY = "made for"
 
 
-@cache
-def code_fingerprint() -> str:
-    """Text that changes with the package's source: what other code has made is made again."""
-    digest = hashlib.sha256()
-    for file in sorted(Path(__file__).parents[1].rglob("*.py")):
-        digest.update(file.read_bytes())
-    return digest.hexdigest()
+class Checkpoints:
+    """Named groups of arrays in a folder, a file each, written whole or not at all.
 
-
-class Checkpoints(MutableMapping[str, dict[str, NDArray[Any]]]):
-    """Named groups of arrays, a file each, written whole or not at all.
+    Each group has a key, which tells what it was made from (``recon3d.tasks.content_key``). A group with another key,
+    or in a damaged file, counts as missing and is overwritten.
 
     Parameters
     ----------
-    folder : made when the first stage is put into it.
-    key : text that says what the stages are made from. Stages of another key are as good as absent and are replaced.
+    folder : made when the first group is written. Temporary files of runs that were killed are removed from it.
     """
 
-    def __init__(self, folder: Path | str, key: str) -> None:
-        self.folder, self.key = Path(folder), key
+    def __init__(self, folder: Path | str) -> None:
+        self.folder = Path(folder)
+        remove_leftovers(self.folder)
 
-    def __getitem__(self, name: str) -> dict[str, NDArray[Any]]:
+    def read(self, name: str, key: str) -> dict[str, NDArray[Any]] | None:
+        """Arrays of a name that were written with that key; None where there are none."""
         try:
             with self._path(name).open("rb") as file, np.load(file, allow_pickle=False) as stored:
-                arrays = dict(stored)
-            if str(arrays.pop(_KEY)) == self._made_for(arrays):
-                return arrays
+                if str(stored[_KEY]) != _told(key, (each for each in stored if each != _KEY)):
+                    return None
+                return {each: stored[each] for each in stored if each != _KEY}
         except (OSError, KeyError, ValueError, EOFError, RuntimeError, zipfile.BadZipFile):
-            pass  # a file that is missing or was damaged is made again
-        raise KeyError(name)
+            return None
 
-    def __setitem__(self, name: str, arrays: dict[str, NDArray[Any]]) -> None:
+    def write(self, name: str, key: str, arrays: Arrays) -> None:
+        """Keep arrays under a name, instead of what was there."""
         with atomic_path(self._path(name)) as temporary, temporary.open("wb") as file:
-            # numpy would take an array of the name "file" or "allow_pickle" for its own; no stage has one.
-            np.savez(file, **{_KEY: np.array(self._made_for(arrays)), **arrays})  # type: ignore[arg-type]
+            # numpy would take an array of the name "file" or "allow_pickle" for its own; no group has one.
+            np.savez(file, **{_KEY: np.array(_told(key, arrays)), **arrays})  # type: ignore[arg-type]
 
-    def __delitem__(self, name: str) -> None:
-        if name not in self:
-            raise KeyError(name)
-        self._path(name).unlink()
-
-    def __iter__(self) -> Iterator[str]:
-        names = (unquote(path.stem) for path in sorted(self.folder.glob("*.npz")))
-        return (name for name in names if name in self)
-
-    def __len__(self) -> int:
-        return sum(1 for _ in self)
-
-    def _made_for(self, arrays: Iterable[str]) -> str:
-        """What a file says of itself: the key, and its arrays, since a damaged directory may not tell all of them."""
-        return f"{self.key}: {', '.join(sorted(arrays))}"
+    def names(self) -> list[str]:
+        """Names of all that was written, in order, whatever its key."""
+        return sorted(unquote(path.stem) for path in self.folder.glob("[!.]*.npz"))
 
     def _path(self, name: str) -> Path:
-        """File of a stage, whose name may hold any character."""
+        """File of a group, whose name may hold any character."""
         return self.folder / f"{quote(name, safe=' ')}.npz"
+
+
+def _told(key: str, names: Iterable[str]) -> str:
+    """What a file says of itself: the key, and its arrays, since a damaged directory may not tell all of them."""
+    return f"{key}: {', '.join(sorted(names))}"

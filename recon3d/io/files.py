@@ -6,13 +6,19 @@ import json
 import os
 import tempfile
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from time import time
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+
+_UNFINISHED = ".unfinished-"  # in the names of temporary files
+
+
+_ABANDONED = 3600.0  # seconds; no file takes so long to be written
 
 
 @contextmanager
@@ -20,7 +26,7 @@ def atomic_path(path: Path | str) -> Iterator[Path]:
     """Temporary path beside the target, moved onto it when the block ends well and removed when it does not."""
     target = Path(path)
     target.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.stem}-", suffix=target.suffix)
+    handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.stem}{_UNFINISHED}", suffix=target.suffix)
     os.close(handle)
     temporary = Path(name)
     try:
@@ -29,6 +35,14 @@ def atomic_path(path: Path | str) -> Iterator[Path]:
         temporary.replace(target)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def remove_leftovers(folder: Path | str) -> None:
+    """Remove temporary files that runs which were killed left in a folder: those untouched for an hour."""
+    for path in Path(folder).glob(f".*{_UNFINISHED}*"):
+        with suppress(OSError):  # another run may be quicker
+            if time() - path.stat().st_mtime > _ABANDONED:
+                path.unlink()
 
 
 def _umask() -> int:

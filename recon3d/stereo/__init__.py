@@ -2,7 +2,7 @@
 
 from recon3d.stereo.fusion import Fusion, fuse
 from recon3d.stereo.patch_match import DepthMap, Matching
-from recon3d.stereo.refinement import PASSES, Refinement, Stages, refine
+from recon3d.stereo.refinement import PASSES, Refinement, refine
 
 __all__ = [
     "PASSES",
@@ -10,7 +10,6 @@ __all__ = [
     "Fusion",
     "Matching",
     "Refinement",
-    "Stages",
     "fuse",
     "refine",
 ]

@@ -1,9 +1,9 @@
-"""Dense matching inside the carved hull: for every view a plane at every few pixels."""
+"""Dense matching inside the carved volume: for every view a plane at every few pixels."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import cv2
 import numpy as np
@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from recon3d.carving.depth_votes import MIN_DEVIATION
 from recon3d.kernels.planes import NOTHING, find_visible, match_planes
 from recon3d.rendering.renderer import Renderer
-from recon3d.scene.neighbours import matching_neighbours
 from recon3d.scene.scene import Scene
 
 _MOST_NEIGHBOURS = 32  # bits of a pixel's visibility
@@ -96,93 +95,114 @@ class DepthMap:
     """(rows, columns) 1 - NCC in [0, 2], mean of the two best views; ``NOTHING`` where there is no match."""
 
 
-class Matcher:
-    """A scene and its carved surface, ready to be matched view by view.
+@dataclass(frozen=True)
+class GuidedView:
+    """A view as matching reads it, with the carved surface to start from; padded as ``PackedViews``."""
+
+    luminance: NDArray[np.float32]
+    """(height, width) in [0, 255]."""
+    size: NDArray[np.int64]
+    """(2,) width and height, pixels."""
+    projection: NDArray[np.float64]
+    """(3, 4) P = K [R | t]."""
+    center: NDArray[np.float64]
+    """(3,) of the camera, world."""
+    world_from_pixel: NDArray[np.float64]
+    """(3, 3) R^T K^-1."""
+    depth: NDArray[np.float32]
+    """(height, width) of the carved surface along the optical axis, world units; 0 beside it."""
+    normals: NDArray[np.float32]
+    """(rows, columns, 3) of the carved surface at the matched pixels, world, towards the camera; zero beside it."""
+
+
+def guide_views(scene: Scene, surface: o3d.geometry.TriangleMesh, stride: int) -> list[GuidedView]:
+    """Every view of a scene with what it sees of a carved surface, whose normals are taken of strided pixels."""
+    views, renderer = scene.packed, Renderer(surface)
+    guided = []
+    for n, view in enumerate(scene.views):
+        depth = np.zeros(views.foreground.shape[1:], np.float32)
+        normals = np.zeros((*depth[::stride, ::stride].shape, 3), np.float32)
+        seen = renderer.cast(view.K, view.cam_from_world, view.width, view.height)
+        depth[: view.height, : view.width] = np.where(seen.hit, seen.depth, 0)
+        strided, _ = renderer.normals(seen.strided(stride))
+        normals[: strided.shape[0], : strided.shape[1]] = strided
+        luminance = cv2.cvtColor(views.images[n], cv2.COLOR_RGB2GRAY).astype(np.float32)
+        guided.append(
+            GuidedView(luminance, views.sizes[n], views.projections[n], views.centers[n], views.world_from_pixel[n],
+                       depth, normals)
+        )  # fmt: skip
+    return guided
+
+
+def match_view(
+    view: GuidedView, others: Sequence[GuidedView], matching: Matching, *, footprint: float, thickness: float
+) -> DepthMap:
+    """Match a view with others, the nearest first.
 
     The carved surface starts each pixel off with a depth and a normal, bounds the search, and says which views see it.
+
+    Parameters
+    ----------
+    footprint : of a pixel at the object, world units.
+    thickness : of the object, which limits the depth of cavities; world units.
+
+    References
+    ----------
+    Bleyer, Rhemann, Rother, "PatchMatch stereo: stereo matching with slanted support windows", BMVC 2011.
+    Galliani, Lasinger, Schindler, "Massively parallel multiview stereopsis by surface normal diffusion", ICCV 2015
+    (red-black propagation).
     """
-
-    def __init__(self, scene: Scene, surface: o3d.geometry.TriangleMesh, matching: Matching) -> None:
-        self.scene, self.matching = scene, matching
-        self.views = scene.packed
-        self.neighbours = matching_neighbours(scene, matching.neighbours)
-        self._surface = surface
-
-    @cached_property
-    def _grey(self) -> NDArray[np.float32]:
-        """(n_views, height, width) luminance, 0 to 255."""
-        return np.stack([cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) for image in self.views.images]).astype(np.float32)
-
-    @cached_property
-    def _guides(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Of every view, depths (n_views, height, width), 0 beside the surface, and world normals at strided pixels."""
-        depths, stride = np.zeros(self.views.foreground.shape, np.float32), self.matching.stride
-        normals = np.zeros((*depths[:, ::stride, ::stride].shape, 3), np.float32)
-        renderer = Renderer(self._surface)
-        for n, view in enumerate(self.scene.views):
-            seen = renderer.cast(view.K, view.cam_from_world, view.width, view.height)
-            depths[n, : view.height, : view.width] = np.where(seen.hit, seen.depth, 0)
-            strided, _ = renderer.normals(seen.strided(stride))
-            normals[n, : strided.shape[0], : strided.shape[1]] = strided
-        return depths, normals
-
-    def depth_map(self, n: int) -> DepthMap:
-        """Match view n.
-
-        References
-        ----------
-        Bleyer, Rhemann, Rother, "PatchMatch stereo: stereo matching with slanted support windows", BMVC 2011.
-        Galliani, Lasinger, Schindler, "Massively parallel multiview stereopsis by surface normal diffusion", ICCV 2015
-        (red-black propagation).
-        """
-        matching, views, others = self.matching, self.views, self.neighbours[n]
-        depths, normals = self._guides
-        stride, footprint = matching.stride, self.scene.pixel_footprint
-        start = depths[n, ::stride, ::stride]
-        planes = self._first_planes(n)
-        costs = np.full(start.shape, NOTHING, np.float32)
-        if not others or not start.any():
-            return DepthMap(planes, costs)
-        visible = np.zeros(start.shape, np.uint32)
-        find_visible(
-            depths[n], normals[n], views.centers[n], views.world_from_pixel[n], views.projections[others],
-            views.centers[others], views.sizes[others], depths[others], stride, _TOLERANCE * footprint, _MIN_COSINE,
-            visible,
-        )  # fmt: skip
-        P = views.projections[others]
-        reach = np.float32(matching.reach * footprint)
-        behind = reach + np.float32(matching.cavities * min(self.scene.bounds.extent))
-        nearest, farthest = np.maximum(start - reach, reach), start + behind
-        for sweep in range(2 * matching.rounds):
-            ranges = self._ranges(float(np.median(start[start > 0])), sweep // 2)
-            match_planes(
-                self._grey[n], *views.sizes[n], self._grey[others], views.sizes[others],
-                P[:, :, :3] @ views.world_from_pixel[n], P[:, :, :3] @ views.centers[n] + P[:, :, 3], visible,
-                nearest, farthest, stride, matching.radius, matching.spacing, matching.contrast, MIN_DEVIATION,
-                matching.compared, ranges, sweep % 2, sweep, planes, costs,
-            )  # fmt: skip
+    stride = matching.stride
+    start = view.depth[::stride, ::stride]
+    planes = _first_planes(view, start, stride)
+    costs = np.full(start.shape, NOTHING, np.float32)
+    if not others or not start.any():
         return DepthMap(planes, costs)
+    P, centers, sizes, depths = (
+        np.stack([getattr(other, name) for other in others]) for name in ("projection", "center", "size", "depth")
+    )
+    visible = np.zeros(start.shape, np.uint32)
+    find_visible(
+        view.depth, view.normals, view.center, view.world_from_pixel, P, centers, sizes, depths, stride,
+        _TOLERANCE * footprint, _MIN_COSINE, visible,
+    )  # fmt: skip
+    luminances = np.stack([other.luminance for other in others])
+    reach = np.float32(matching.reach * footprint)
+    behind = reach + np.float32(matching.cavities * thickness)
+    nearest, farthest = np.maximum(start - reach, reach), start + behind
+    for sweep in range(2 * matching.rounds):
+        ranges = _ranges(matching, footprint / float(np.median(start[start > 0])) ** 2, sweep // 2)
+        match_planes(
+            view.luminance, *view.size, luminances, sizes, P[:, :, :3] @ view.world_from_pixel,
+            P[:, :, :3] @ view.center + P[:, :, 3], visible, nearest, farthest, stride, matching.radius,
+            matching.spacing, matching.contrast, MIN_DEVIATION, matching.compared, ranges, sweep % 2, sweep, planes,
+            costs,
+        )  # fmt: skip
+    return DepthMap(planes, costs)
 
-    def _ranges(self, depth: float, sweep: int) -> NDArray[np.float64]:
-        """(n_trials, 2) largest changes of inverse depth and slope in a sweep's random trials; infinite: any depth."""
-        change = _FIRST_RANGE * _SHRINKING**sweep * 0.5 ** np.arange(_TRIALS) * self.scene.pixel_footprint / depth**2
-        anywhere = [[np.inf, change[0]]] if self.matching.cavities and not sweep else np.empty((0, 2))
-        return np.concatenate([anywhere, np.column_stack([change, _SLOPE * change])])
 
-    def _first_planes(self, n: int) -> NDArray[np.float32]:
-        """(rows, columns, 3) planes of the carved surface at every strided pixel."""
-        depths, normals = self._guides
-        view, stride = self.scene.views[n], self.matching.stride
-        depth = depths[n, ::stride, ::stride].astype(np.float64)
-        # On the plane m . X = m . X0 of the camera's frame, 1 / z = m . K^-1 (u, v, 1) / (m . X0).
-        m = normals[n] @ view.cam_from_world[:3, :3].T @ np.linalg.inv(view.K)
-        rows, columns = np.mgrid[: depth.shape[0], : depth.shape[1]] * stride
-        facing = m[..., 0] * columns + m[..., 1] * rows + m[..., 2]
-        facing = np.minimum(facing, -_MIN_COSINE)  # normals face the camera; a grazing plane is turned towards it
-        hit = depth > 0
-        inverse = np.divide(1.0, depth, out=np.zeros_like(depth), where=hit)
-        slopes = m[..., :2] * (inverse / facing)[..., None]
-        return np.concatenate([inverse[..., None], np.where(hit[..., None], slopes, 0)], axis=-1).astype(np.float32)
+def _ranges(matching: Matching, unit: float, sweep: int) -> NDArray[np.float64]:
+    """(n_trials, 2) largest changes of inverse depth and slope in a sweep's random trials; infinite: any depth.
+
+    A unit of inverse depth is a pixel's footprint over depth squared.
+    """
+    change = _FIRST_RANGE * _SHRINKING**sweep * 0.5 ** np.arange(_TRIALS) * unit
+    anywhere = [[np.inf, change[0]]] if matching.cavities and not sweep else np.empty((0, 2))
+    return np.concatenate([anywhere, np.column_stack([change, _SLOPE * change])])
+
+
+def _first_planes(view: GuidedView, start: NDArray[np.float32], stride: int) -> NDArray[np.float32]:
+    """(rows, columns, 3) planes of the carved surface at every strided pixel, where it has a depth (rows, columns)."""
+    depth = start.astype(np.float64)
+    # On the plane m . X = m . X0 of the camera's frame, 1 / z = m . K^-1 (u, v, 1) / (m . X0).
+    m = view.normals @ view.world_from_pixel
+    rows, columns = np.mgrid[: depth.shape[0], : depth.shape[1]] * stride
+    facing = m[..., 0] * columns + m[..., 1] * rows + m[..., 2]
+    facing = np.minimum(facing, -_MIN_COSINE)  # normals face the camera; a grazing plane is turned towards it
+    hit = depth > 0
+    inverse = np.divide(1.0, depth, out=np.zeros_like(depth), where=hit)
+    slopes = m[..., :2] * (inverse / facing)[..., None]
+    return np.concatenate([inverse[..., None], np.where(hit[..., None], slopes, 0)], axis=-1).astype(np.float32)
 
 
 def plane_normals(scene: Scene, planes: NDArray[np.float32], stride: int) -> NDArray[np.float32]:

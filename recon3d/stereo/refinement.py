@@ -1,8 +1,10 @@
-"""Sharpen a carved hull: dense matching inside it, fused into one cloud of oriented points."""
+"""Refine a carved volume: dense matching inside it, fused into one cloud of oriented points."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, MutableMapping, Sequence
+from collections.abc import Sequence
+from concurrent.futures import Executor
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -10,18 +12,18 @@ import open3d as o3d
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
+from recon3d import tasks
 from recon3d.carving.depth_votes import carve_by_depths, hull_of_field
 from recon3d.carving.item_buffer import ItemBuffer
 from recon3d.carving.visible import color_visible
+from recon3d.scene.neighbours import matching_neighbours
 from recon3d.scene.scene import Scene
 from recon3d.stereo.fusion import Fusion, fuse
-from recon3d.stereo.patch_match import DepthMap, Matcher, Matching
+from recon3d.stereo.patch_match import DepthMap, Matching, guide_views, match_view
 from recon3d.surface.extraction import mesh_shape
+from recon3d.tasks import Arrays, Kept, Progress, Store, content_key, once
 from recon3d.volume.carved import CarvedVolume, Label
-
-Stages = MutableMapping[str, dict[str, NDArray[np.generic]]]
-"""Arrays by name of every finished stage, kept for a later run."""
-
+from recon3d.volume.lattice import Lattice
 
 PASSES = (
     Matching(cavities=0.3, stride=4, rounds=3),  # into the cavities that carving left filled
@@ -55,8 +57,9 @@ def refine(
     hull: CarvedVolume,
     *,
     passes: Sequence[Matching] = PASSES,
-    stages: Stages | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    checkpoints: Store | None = None,
+    executor: Executor | None = None,
+    progress: Progress | None = None,
 ) -> Refinement:
     """Points of the surface to a fraction of a pixel's footprint, where two views or more show it.
 
@@ -69,8 +72,9 @@ def refine(
     ----------
     hull : of the scene, by any carving method; vote carving comes nearest to the surface.
     passes : how windows are matched, each time from what was found before.
-    stages : finished views are taken from here and put here, so that an interrupted run can go on; of the same scene,
-        hull and passes.
+    checkpoints : finished depth maps and passes are kept here, and taken from here where the scene, the hull and the
+        passes up to them are the same.
+    executor : matches several views at a time, see ``recon3d.tasks.map``; the result is the same.
     progress : called with the views that are done and how many there are, over all passes.
 
     Raises
@@ -80,24 +84,69 @@ def refine(
     """
     if not passes:
         raise ValueError("expected at least one pass of matching")
-    stages = {} if stages is None else stages
-    n_steps = len(passes) * len(scene.views)
-    for n_pass, matching in enumerate(passes):
-        matcher = Matcher(scene, mesh_shape(hull.with_interior, distance=hull.distance), matching)
-        depth_maps = []
-        for n in range(len(scene.views)):
-            name = f"pass {n_pass + 1} view {n + 1}"
-            if name not in stages:
-                depth_map = matcher.depth_map(n)
-                stages[name] = {"planes": depth_map.planes, "costs": depth_map.costs}
-            kept = stages[name]
-            depth_maps.append(DepthMap(kept["planes"].astype(np.float32), kept["costs"].astype(np.float32)))
-            if progress:
-                progress(n_pass * len(scene.views) + n + 1, n_steps)
-        fusion = fuse(scene, depth_maps, matching)
-        hull = _carve(scene, hull, depth_maps, fusion, matching)
-    color_visible(hull, ItemBuffer(scene.packed, hull.volume), hull.with_interior.occupied)
-    return Refinement(fusion.cloud(), hull)
+    report = progress or (lambda _done, _total: None)
+    key = content_key(scene, hull.lattice, hull.arrays())
+    found = Refinement(o3d.t.geometry.PointCloud(), hull)
+    for n, matching in enumerate(passes):
+        key, last = content_key(key, matching), n + 1 == len(passes)
+        one_pass = partial(
+            _pass, scene, found.carved, matching, name=f"pass {n + 1}", colored=last,
+            kept=Kept(checkpoints, key, vars, lambda arrays: DepthMap(**arrays)), executor=executor,
+            progress=partial(_in_all, report, n, len(passes)),
+        )  # fmt: skip
+        kept = Kept(checkpoints, content_key(key, last), _arrays, partial(_restored, hull.lattice))
+        found = once(one_pass, f"pass {n + 1}", kept=kept)
+        _in_all(report, n, len(passes), len(scene.views), len(scene.views))
+    return found
+
+
+def _in_all(report: Progress, n_before: int, n_passes: int, done: int, total: int) -> None:
+    """Report the views done in a pass as those done in all passes."""
+    report(n_before * total + done, n_passes * total)
+
+
+def _pass(
+    scene: Scene,
+    hull: CarvedVolume,
+    matching: Matching,
+    *,
+    name: str,
+    colored: bool,
+    kept: Kept[DepthMap],
+    executor: Executor | None,
+    progress: Progress,
+) -> Refinement:
+    """Match every view, fuse the depth maps, and carve the hull to them, whose voxels are coloured if wanted."""
+    neighbours = matching_neighbours(scene, matching.neighbours)
+    guided = guide_views(scene, mesh_shape(hull.with_interior, distance=hull.distance), matching.stride)
+    match = partial(match_view, footprint=scene.pixel_footprint, thickness=float(min(scene.bounds.extent)))
+    inputs = {
+        f"{name} view {n + 1}": (view, [guided[other] for other in neighbours[n]], matching)
+        for n, view in enumerate(guided)
+    }
+    depth_maps = tasks.map(match, inputs, kept=kept, executor=executor, progress=progress)
+    fusion = fuse(scene, depth_maps, matching)
+    carved = _carve(scene, hull, depth_maps, fusion, matching)
+    if colored:
+        color_visible(carved, ItemBuffer(scene.packed, carved.volume), carved.with_interior.occupied)
+    return Refinement(fusion.cloud(), carved)
+
+
+_OF_POINTS = ("positions", "normals", "colors", "confidence")
+
+
+def _arrays(found: Refinement) -> Arrays:
+    """A refinement for a file."""
+    points = {f"point {name}": found.points.point[name].numpy() for name in _OF_POINTS}
+    return points | found.carved.arrays()
+
+
+def _restored(lattice: Lattice, arrays: Arrays) -> Refinement:
+    """The refinement of arrays that were kept, on their lattice."""
+    rest, points = dict(arrays), o3d.t.geometry.PointCloud()
+    for name in _OF_POINTS:
+        points.point[name] = o3d.core.Tensor.from_numpy(rest.pop(f"point {name}"))
+    return Refinement(points, CarvedVolume.from_arrays(lattice, rest))
 
 
 def _carve(

@@ -20,7 +20,6 @@ from recon3d.carving.visibility import spread_views
 from recon3d.errors import ArgumentError, EmptyReconstructionError
 from recon3d.evaluation.distances import Evaluation, evaluate
 from recon3d.evaluation.photographs import measure_quality
-from recon3d.io.checkpoints import code_fingerprint
 from recon3d.pipeline import Progress, reconstruct
 from recon3d.rendering.renderer import Renderer
 from recon3d.rendering.sheets import portrait
@@ -31,6 +30,7 @@ from recon3d.settings import Settings, choose_views, method_name
 from recon3d.study.memory import peak_memory
 from recon3d.study.variants import Variant
 from recon3d.summary import labelled_row
+from recon3d.tasks import code_fingerprint
 from recon3d.volume.lattice import Lattice
 
 PICTURE_WIDTH = 200
