@@ -9,6 +9,10 @@ class Recon3dError(Exception):
     """Base of all errors that a user can mend by changing data or settings."""
 
 
+class FailedTestError(Recon3dError):
+    """A user's own photo-consistency test raised an error, or gave no verdict."""
+
+
 class DataError(Recon3dError):
     """A file or folder does not hold what its format promises."""
 

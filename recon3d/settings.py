@@ -8,11 +8,11 @@ from typing import Any, Literal
 
 import numpy as np
 
-from recon3d.carving import METHODS, N_VOXELS, Method, suitable_method
+from recon3d.carving import METHODS, N_VOXELS, JudgingMethod, Method, suitable_method
 from recon3d.carving.start import any_silhouette
 from recon3d.carving.visibility import largest_admissible_views, spread_views
 from recon3d.checks import require_number, require_whole
-from recon3d.consistency.spec import _record_of, _restored
+from recon3d.consistency.spec import is_built_in, record_of, restore
 from recon3d.errors import ArgumentError, DataError, SceneError
 from recon3d.scene.scene import Scene
 from recon3d.stereo.patch_match import Matching
@@ -149,13 +149,21 @@ class Settings:
         }
 
     @classmethod
-    def from_record(cls, record: Mapping[str, Any]) -> Settings:
-        """The settings of a record that was read from a JSON file.
+    def from_record(cls, record: Mapping[str, Any], *, test: str | None = None) -> Settings:
+        """The settings of a record that was read from a JSON file, which may come from anyone: no code is run for it.
+
+        Parameters
+        ----------
+        test : module:name of the user's own photo-consistency test that the record tells of; see ``load_test``.
 
         Raises
         ------
-        ArgumentError : a setting is not known or has no possible value.
-        DataError : the test cannot be made again: an object of a user's own that was given from Python.
+        ArgumentError : a setting is not known or has no possible value, or the recorded test is none of a user's own.
+        DataError : the recorded test is a user's own and was not named.
+
+        Warns
+        -----
+        UserWarning : the user's own test has another name than the recorded one.
         """
         unknown = set(record) - {setting.name for setting in fields(cls)}
         if unknown:
@@ -163,14 +171,18 @@ class Settings:
         values = dict(record)
         try:
             if values.get("carving") is not None:
-                values["carving"] = _method_of(values["carving"])
+                values["carving"] = _method_of(values["carving"], test)
             if isinstance(values.get("matching"), list):
                 values["matching"] = tuple(Matching(**each) for each in values["matching"])
             if "meshing" in values:
                 values["meshing"] = Meshing(**values["meshing"])
-        except TypeError as error:  # an option that is not there, or no options at all
+        except (TypeError, AttributeError) as error:  # options that are not there, or no options at all
             raise ArgumentError(str(error)) from None
-        return cls(**values)
+        settings = cls(**values)
+        used = isinstance(settings.carving, JudgingMethod) and not is_built_in(settings.carving.test)
+        if test is not None and not used:
+            raise ArgumentError(f"expected no test, since the record tells of none of a user's own, got {test}")
+        return settings
 
 
 def method_name(method: Method) -> str:
@@ -181,15 +193,18 @@ def method_name(method: Method) -> str:
 def _method_record(method: Method) -> dict[str, Any]:
     """Name and options of a carving method."""
     options = {option.name: getattr(method, option.name) for option in fields(method)}
-    told = {name: _record_of(value) if callable(value) else _plain(value) for name, value in options.items()}
+    told = {name: record_of(value) if callable(value) else _plain(value) for name, value in options.items()}
     return {"name": method_name(method), "options": told}
 
 
-def _method_of(record: Mapping[str, Any]) -> Method:
+def _method_of(record: Mapping[str, Any], test: str | None) -> Method:
     """The carving method that a record tells of."""
-    if record["name"] not in METHODS:
-        raise DataError(f"expected a carving method among {', '.join(METHODS)}, got {record['name']!r}")
-    return METHODS[record["name"]](**{name: _restored(value) for name, value in record["options"].items()})
+    if record.get("name") not in METHODS:
+        raise DataError(f"expected a carving method among {', '.join(METHODS)}, got {record.get('name')!r}")
+    options = dict(record.get("options", {}))
+    if "test" in options:
+        options["test"] = restore(options["test"], test)
+    return METHODS[record["name"]](**options)
 
 
 def _plain_fields(value: Any) -> dict[str, Any]:

@@ -86,7 +86,8 @@ def test_a_test_and_its_options_are_chosen_by_name(photographs: Path, tmp_path: 
         "--test", "standard-deviation", "--test-option", "threshold=45", "--views", "view0[1-5]*",
     )  # fmt: skip
     record = json.loads((tmp_path / "record.json").read_text())
-    assert record["settings"]["carving"]["options"]["test"] == {"class": "StandardDeviation", "threshold": 45}
+    test = record["settings"]["carving"]["options"]["test"]
+    assert test == {"name": "standard-deviation", "options": {"threshold": 45}}
     assert len(record["scene"]["views"]) == 5
 
 

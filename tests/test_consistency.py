@@ -262,7 +262,7 @@ def test_the_fuzzy_test_refuses_senseless_options(options: dict[str, object]) ->
 
 @pytest.mark.parametrize("threshold", [-1.0, 128.0, float("nan")])
 def test_the_standard_deviation_refuses_a_senseless_threshold(threshold: float) -> None:
-    with pytest.raises(ValueError, match=r"expected a threshold between 0 and 127\.5"):
+    with pytest.raises(ValueError, match=r"expected threshold to be a number in \[0, 127\.5\]"):
         StandardDeviation(threshold)
 
 

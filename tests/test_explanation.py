@@ -398,7 +398,7 @@ def test_a_saved_result_is_explained_with_its_own_scene_and_test(
     saved: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     capsys.readouterr()
-    typed(monkeypatch, "explain", saved, "--pixel", "view02.png,24,18")
+    typed(monkeypatch, "explain", saved, "--pixel", "view02.png,24,18", "--test", "my_own_test:at_most")
     printed = capsys.readouterr()
     assert printed.err == ""  # the same voxels as recorded
     assert "consistent: accepted" in printed.out
@@ -418,7 +418,7 @@ def test_a_result_that_would_now_be_another_is_warned_of(
     capsys.readouterr()
     with warnings.catch_warnings():
         warnings.simplefilter("default")
-        typed(monkeypatch, "explain", saved, "--at", "0,0,0.6")
+        typed(monkeypatch, "explain", saved, "--at", "0,0,0.6", "--test", "my_own_test:at_most")
     assert "Warning: " in (text := capsys.readouterr().err)
     assert "other voxels are left than recorded" in text
 
@@ -427,22 +427,24 @@ def test_mistakes_are_one_line(
     saved: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     record = json.loads((saved / "record.json").read_text())
-    opaque = {"name": "voxel-coloring", "options": {"test": {"class": "mine.Test"}}}
+    opaque = {"name": "voxel-coloring", "options": {"test": {"name": "mine.Test", "options": {}}}}
     for name, change in (("sourceless", {"scene": {**record["scene"], "source": None}}),
                          ("testless", {"settings": {**record["settings"], "carving": opaque}}),
                          ("bare", {"settings": None})):  # fmt: skip
         (saved.parent / name).mkdir()
         (saved.parent / name / "record.json").write_text(json.dumps({**record, **change}))
+    own = ["--test", "my_own_test:at_most"]
     for arguments, message in (
         ([saved], "expected --at X,Y,Z or --pixel VIEW,U,V"),
+        ([saved, "--at", "0,0,0"], "the test my_own_test:at_most is not the package's own, and code is not run"),
         ([saved, "--at", "1,2"], "--at: expected three numbers X,Y,Z, got '1,2'"),
-        ([saved, "--at", "0,0,9"], "lies outside the volume"),
+        ([saved, "--at", "0,0,9", *own], "lies outside the volume"),
         ([saved, "--pixel", "view01.png"], "--pixel: expected a view's name and two numbers U,V"),
-        ([saved, "--pixel", "view77.png,3,3"], "has no view view77.png"),
-        ([saved, "--pixel", "view01.png,0,0"], "misses the volume"),
+        ([saved, "--pixel", "view77.png,3,3", *own], "has no view view77.png"),
+        ([saved, "--pixel", "view01.png,0,0", *own], "misses the volume"),
         ([saved / "nowhere", "--at", "0,0,0"], "expected the folder of a result, with a record.json"),
-        (["sourceless", "--at", "0,0,0"], "no record says which scene this was made of"),
-        (["testless", "--at", "0,0,0"], "the test mine.Test was given as an object"),
+        (["sourceless", "--at", "0,0,0", *own], "no record says which scene this was made of"),
+        (["testless", "--at", "0,0,0"], "the test mine.Test is not the package's own"),
         (["bare", "--at", "0,0,0"], "expected the folder of a result, with a record.json that tells the settings"),
     ):
         capsys.readouterr()
@@ -451,3 +453,22 @@ def test_mistakes_are_one_line(
         assert message in printed.err
         assert len(printed.err.strip().splitlines()) == 1
         assert printed.out == ""
+
+
+def test_a_record_runs_no_code_that_the_user_did_not_name(
+    saved: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    record = json.loads((saved / "record.json").read_text())
+    marker = saved.parent / "marker"
+    hostile = {"name": "subprocess:Popen", "options": {"args": ["touch", str(marker)]}}
+    record["settings"]["carving"] = {"name": "voxel-coloring", "options": {"test": hostile}}
+    (saved / "record.json").write_text(json.dumps(record))
+    for test in ([], ["--test", "my_own_test:at_most"]):
+        capsys.readouterr()
+        with warnings.catch_warnings():
+            warnings.simplefilter("default")
+            typed(monkeypatch, "explain", saved, "--at", "0,0,0.6", *test)
+        err = capsys.readouterr().err
+        assert "subprocess:Popen" in err
+        assert ("code is not run because a file names it" in err) != bool(test)
+    assert not marker.exists()

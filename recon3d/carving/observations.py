@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recon3d.consistency.base import ConsistencyTest, Patches, Verdict
+from recon3d.consistency.spec import ask
 from recon3d.kernels.footprints import carve_background as clear_background
 from recon3d.kernels.footprints import free_pixels, gather, mark
 from recon3d.kernels.rays import observe
@@ -69,7 +70,7 @@ def judge(
     directed, side = bool(getattr(test, "needs_directions", False)), int(getattr(test, "window_side", 0))
     numbers = len(views.centers) * (3 * directed + side * side)
     if not numbers:
-        return _checked(test, patches)
+        return ask(test, patches)
     step = max(_NUMBERS // numbers, 1)
     verdicts = []
     for start in range(0, max(len(centers), 1), step):
@@ -77,18 +78,8 @@ def judge(
         part = patches.part(start, start + len(points))
         directions = _directions(points, views) if directed else None
         windows = _windows(points, part.counts, side, views, voxel_size) if side else None
-        verdicts.append(_checked(test, Patches(part.colors, part.view_starts, directions, windows)))
+        verdicts.append(ask(test, Patches(part.colors, part.view_starts, directions, windows)))
     return Verdict(*(np.concatenate([getattr(v, name) for v in verdicts]) for name in ("degree", "low", "high")))
-
-
-def _checked(test: ConsistencyTest, patches: Patches) -> Verdict:
-    """The test's verdict, if it is one, of the batch's length."""
-    verdict = test(patches)
-    if not isinstance(verdict, Verdict):
-        raise ValueError(f"{test!r}: expected a Verdict, got {type(verdict).__name__}")
-    if len(verdict.degree) != patches.n_voxels:
-        raise ValueError(f"{test!r} judged {len(verdict.degree)} voxels of {patches.n_voxels}")
-    return verdict
 
 
 def _directions(centers: NDArray[np.float64], views: PackedViews) -> NDArray[np.float32]:

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from recon3d.errors import EmptyReconstructionError, SceneError
+from recon3d.errors import ArgumentError, EmptyReconstructionError, SceneError
 from recon3d.kernels.silhouettes import silhouette_distance
 from recon3d.scene.packed import PackedViews
 from recon3d.scene.scene import Scene
@@ -74,7 +74,7 @@ def silhouette_outlines(scene: Scene, tolerance: int = 0) -> Outlines:
     if not views:
         raise SceneError(f"scene {scene.name}: a visual hull needs silhouettes, and no view has one")
     if not 0 <= tolerance < len(views):
-        raise ValueError(f"expected a tolerance of 0 to {len(views) - 1} wrong silhouettes, got {tolerance}")
+        raise ArgumentError(f"expected a tolerance of 0 to {len(views) - 1} wrong silhouettes, got {tolerance}")
     arrays = PackedViews(views)
     distances = np.zeros(arrays.foreground.shape, np.float32)
     for n, view in enumerate(views):

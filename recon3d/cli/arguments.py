@@ -38,7 +38,7 @@ def load(scene: str, bounds: str | None, silhouettes: str, mm_per_unit: float = 
 
     if scene in SCENES and not Path(scene).exists():
         if bounds is not None or silhouettes not in ("auto", "none") or mm_per_unit != 1000.0:
-            raise ValueError(f"{scene} is built in: it has its own bounds, silhouettes and unit")
+            raise ArgumentError(f"{scene} is built in: it has its own bounds, silhouettes and unit")
         built_in = photograph(scene).scene
         if silhouettes == "none":
             bare = without_silhouettes(built_in)
@@ -97,8 +97,8 @@ def make_test(name: str | None, options: list[str]) -> ConsistencyTest:
     values = keywords(options)
     try:
         return load_test(name or "fuzzy", **values)
-    except ValueError as error:
-        raise ValueError(f"{'--test-option' if values else '--test'}: {error}") from None
+    except ArgumentError as error:
+        raise ArgumentError(f"{'--test-option' if values else '--test'}: {error}") from None
 
 
 def make_method(name: str, options: list[str], test: str | None, test_options: list[str]) -> Method | None:
@@ -141,7 +141,7 @@ def keywords(options: list[str]) -> dict[str, Any]:
     for option in options:
         key, sign, text = option.partition("=")
         if not sign:
-            raise ValueError(f"expected NAME=VALUE, got {option!r}")
+            raise ArgumentError(f"expected NAME=VALUE, got {option!r}")
         try:
             values[key] = ast.literal_eval(text)
         except (ValueError, SyntaxError):
@@ -158,7 +158,7 @@ def sweep_of(option: str) -> tuple[str, list[float]]:
     except (ValueError, SyntaxError, TypeError, ArithmeticError):
         values = []
     if not (name and values):
-        raise ValueError(f"--sweep: expected NAME=LOW:HIGH:STEP, got {option!r}")
+        raise ArgumentError(f"--sweep: expected NAME=LOW:HIGH:STEP, got {option!r}")
     return name, values
 
 
@@ -200,15 +200,15 @@ def recorded_scene(result: Path, record: dict[str, Any] | None, *, silhouettes: 
     return load(record["source"], box, silhouettes, record["mm_per_unit"]).subset(record["views"])
 
 
-def recorded_settings(result: Path, record: dict[str, Any] | None) -> Settings:
-    """The settings that a result was made with, the same test among them."""
+def recorded_settings(result: Path, record: dict[str, Any] | None, test: str | None) -> Settings:
+    """The settings that a result was made with, a user's own test among them only where its name is given."""
     from recon3d.settings import Settings
 
     if not result.exists() or record is None or record["settings"] is None:
         raise DataError(f"{result}: expected the folder of a result, with a record.json that tells the settings")
     try:
-        return Settings.from_record(record["settings"])
-    except (ValueError, KeyError, TypeError, DataError) as error:
+        return Settings.from_record(record["settings"], test=test)
+    except (ArgumentError, DataError) as error:
         raise DataError(f"{result}: the recorded settings cannot be used again: {error}") from None
 
 
@@ -221,7 +221,7 @@ def numbers_of(option: str, text: str | None, form: str) -> list[float] | None:
     except ValueError:
         numbers = []
     if len(numbers) != form.count(",") + 1:
-        raise ValueError(f"{option}: expected {form}, got {text!r}")
+        raise ArgumentError(f"{option}: expected {form}, got {text!r}")
     return numbers
 
 
@@ -241,7 +241,7 @@ def writable(folder: Path) -> Path:
         with tempfile.TemporaryFile(dir=folder):
             return folder
     except OSError as error:
-        raise ValueError(f"--output {folder}: expected a folder that can be written ({error.strerror})") from None
+        raise ArgumentError(f"--output {folder}: expected a folder that can be written ({error.strerror})") from None
 
 
 def beside(result: Path, name: str) -> Path:

@@ -32,7 +32,7 @@ from recon3d.cli.arguments import (
     views_of,
     writable,
 )
-from recon3d.errors import Recon3dError
+from recon3d.errors import ArgumentError, Recon3dError
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -354,7 +354,7 @@ def compare(
     )
     options: dict[str, Any] = {}
     if valid and not ground_truth:
-        raise ValueError("--valid: expected --ground-truth, too")
+        raise ArgumentError("--valid: expected --ground-truth, too")
     if ground_truth:
         truth, mask = read_ground_truth(
             ground_truth, valid=valid, valid_within_mm=valid_within, mm_per_unit=mm_per_unit
@@ -417,6 +417,10 @@ def explain(
             help="The surface that the pixel shows; where there is none, what came nearest to it on the ray.",
         ),
     ] = None,
+    test: Annotated[
+        str | None,
+        typer.Option(metavar="MODULE:NAME", help="Your own test, if the result was made with it: run its code again."),
+    ] = None,
     output: OutputOption = None,
 ) -> None:
     """Say why a voxel was carved or kept: carve once more as recorded, and draw what decided."""
@@ -426,9 +430,9 @@ def explain(
 
     place, clicked = numbers_of("--at", at, "three numbers X,Y,Z"), pixel_of(pixel)
     if (place is None) == (clicked is None):
-        raise ValueError("expected --at X,Y,Z or --pixel VIEW,U,V, one of them")
+        raise ArgumentError("expected --at X,Y,Z or --pixel VIEW,U,V, one of them")
     record = record_of(result)
-    settings = recorded_settings(result, record)
+    settings = recorded_settings(result, record, test)
     scene = recorded_scene(result, record, silhouettes=record["silhouettes"] if record else "auto")
     folder = writable(output or beside(result, "explanations"))
     stages = beside(result, "stages")

@@ -37,9 +37,9 @@ class Patches:
     def __post_init__(self) -> None:
         n_voxels, n_views = self.view_starts.shape[0], self.view_starts.shape[1] - 1
         if self.directions is not None and self.directions.shape != (n_voxels, n_views, 3):
-            raise ValueError(f"expected directions ({n_voxels}, {n_views}, 3), got {self.directions.shape}")
+            raise ArgumentError(f"expected directions ({n_voxels}, {n_views}, 3), got {self.directions.shape}")
         if self.windows is not None and self.windows.shape[:-1] != (n_voxels, n_views):
-            raise ValueError(f"expected windows ({n_voxels}, {n_views}, side * side), got {self.windows.shape}")
+            raise ArgumentError(f"expected windows ({n_voxels}, {n_views}, side * side), got {self.windows.shape}")
 
     @property
     def n_voxels(self) -> int:
@@ -96,14 +96,14 @@ class Verdict:
 
     def __post_init__(self) -> None:
         if not self.degree.shape == self.low.shape == self.high.shape or self.degree.ndim != 1:
-            raise ValueError(
+            raise ArgumentError(
                 f"expected degree, low and high of one length, got {self.degree.shape}, {self.low.shape}, "
                 f"{self.high.shape}"
             )
         if not ((self.degree >= 0) & (self.degree <= 1)).all():
-            raise ValueError("expected every degree in [0, 1]; a test gave NaN or a number outside")
+            raise ArgumentError("expected every degree in [0, 1]; a test gave NaN or a number outside")
         if not (self.low <= self.high).all():
-            raise ValueError("expected low <= high for every voxel")
+            raise ArgumentError("expected low <= high for every voxel")
 
 
 @runtime_checkable

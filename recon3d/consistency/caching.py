@@ -7,7 +7,9 @@ from typing import ClassVar
 
 import numpy as np
 
+from recon3d.checks import require_number
 from recon3d.consistency.base import Patches, Verdict, verdict_of
+from recon3d.errors import ArgumentError
 from recon3d.kernels.view_colors import cached_distances
 
 
@@ -41,23 +43,20 @@ class ColorCaching:
     needs_directions: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        if not (self.threshold >= 0 and self.neighbour_threshold >= 0):
-            raise ValueError(
-                f"expected threshold and neighbour_threshold of 0 or more, got {self.threshold} and "
-                f"{self.neighbour_threshold}"
-            )
+        require_number("threshold", self.threshold, "[0, inf)")
+        require_number("neighbour_threshold", self.neighbour_threshold, "[0, inf)")
 
     def __call__(self, patches: Patches) -> Verdict:
         """The better of the two tests of every voxel.
 
         Raises
         ------
-        ValueError : the patches come without directions.
+        ArgumentError : the patches come without directions.
         """
         directions = patches.directions
         if directions is None:
             if patches.n_voxels:
-                raise ValueError("colour caching orders the views by angle: expected patches with directions")
+                raise ArgumentError("colour caching orders the views by angle: expected patches with directions")
             directions = np.empty((0, patches.view_starts.shape[1] - 1, 3), np.float32)
         of_all, of_neighbours = np.empty(patches.n_voxels), np.empty(patches.n_voxels)
         cached_distances(patches.colors, patches.view_starts, directions, of_all, of_neighbours)

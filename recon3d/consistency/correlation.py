@@ -6,7 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from recon3d.checks import require_number, require_whole
 from recon3d.consistency.base import Patches, Verdict
+from recon3d.errors import ArgumentError
 
 
 @dataclass(frozen=True)
@@ -37,25 +39,22 @@ class Correlation:
     """Grey levels; a window with less contrast is flat."""
 
     def __post_init__(self) -> None:
-        if not -1 <= self.threshold <= 1:
-            raise ValueError(f"expected a threshold between -1 and 1, got {self.threshold}")
-        if self.window_side < 3 or self.window_side != int(self.window_side):
-            raise ValueError(f"expected a window_side of 3 or more, got {self.window_side}")
-        if not self.min_deviation > 0:
-            raise ValueError(f"expected min_deviation > 0, got {self.min_deviation}")
+        require_number("threshold", self.threshold, "[-1, 1]")
+        require_whole("window_side", self.window_side, least=3)
+        require_number("min_deviation", self.min_deviation, "(0, inf)")
 
     def __call__(self, patches: Patches) -> Verdict:
         """Mean correlation of every voxel against T.
 
         Raises
         ------
-        ValueError : the patches come without windows.
+        ArgumentError : the patches come without windows.
         """
         limit = np.full(patches.n_voxels, (1 + self.threshold) / 2)
         if not patches.n_voxels:
             return Verdict(np.empty(0), limit, limit)
         if patches.windows is None:
-            raise ValueError("correlation compares windows of the views: expected patches with windows")
+            raise ArgumentError("correlation compares windows of the views: expected patches with windows")
         windows = patches.windows.astype(np.float64)
         seen = ~np.isnan(windows[..., 0])
         windows = np.where(seen[..., None], windows, 0)

@@ -6,9 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from recon3d.checks import require_number
 from recon3d.consistency.base import Patches, Verdict, verdict_of
 from recon3d.consistency.moments import Moments
-from recon3d.consistency.quantiles import chi_square_limits, require_probability
+from recon3d.consistency.quantiles import chi_square_limits
 
 _LARGEST_DEVIATION = 127.5  # of numbers in 0..255
 
@@ -26,8 +27,7 @@ class StandardDeviation:
     """T, in grey levels of 0 to 255. Chosen by ``scripts/tune_tests.py``."""
 
     def __post_init__(self) -> None:
-        if not 0 <= self.threshold <= _LARGEST_DEVIATION:
-            raise ValueError(f"expected a threshold between 0 and {_LARGEST_DEVIATION}, got {self.threshold}")
+        require_number("threshold", self.threshold, f"[0, {_LARGEST_DEVIATION}]")
 
     def __call__(self, patches: Patches) -> Verdict:
         """Degree of every voxel against the one threshold."""
@@ -60,9 +60,8 @@ class Variance:
     """Share of true surface that may be refused."""
 
     def __post_init__(self) -> None:
-        require_probability(self.p)
-        if not self.sigma0 > 0:
-            raise ValueError(f"expected sigma0 > 0, got {self.sigma0}")
+        require_number("sigma0", self.sigma0, "(0, inf)")
+        require_number("p", self.p, "(0, 1)")
 
     def __call__(self, patches: Patches) -> Verdict:
         """Scatter of every voxel against the chi-square limit."""
@@ -92,8 +91,8 @@ class Adaptive:
     """T2, of the mean deviation inside the views."""
 
     def __post_init__(self) -> None:
-        if not (self.base >= 0 and self.texture >= 0):
-            raise ValueError(f"expected base and texture of 0 or more, got {self.base} and {self.texture}")
+        require_number("base", self.base, "[0, inf)")
+        require_number("texture", self.texture, "[0, inf)")
 
     def __call__(self, patches: Patches) -> Verdict:
         """Deviation of every voxel against its own limit."""

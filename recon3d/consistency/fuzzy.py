@@ -6,16 +6,20 @@ import math
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import accumulate
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from recon3d.checks import require_choice, require_number
 from recon3d.consistency.base import Patches, Verdict
+from recon3d.errors import ArgumentError
 from recon3d.kernels.ragged import decile_ratios
 
 LUMINANCE = np.array([299, 587, 114])
 """Weights of red, green and blue in thousandths, ITU-R BT.601; the sum is rounded half up."""
+
+Intensity = Literal["luminance", "channels"]
 
 _CHANNELS = 1000 * np.eye(3, dtype=np.int64)
 
@@ -24,7 +28,7 @@ def alternating_harmonic(n: ArrayLike) -> NDArray[np.float64]:
     """S(n) = 1 - 1/2 + 1/3 - ... +- 1/n (eq. 9), limit log 2; of whole numbers >= 1, any shape."""
     order = np.asarray(n, np.int64)
     if order.size and order.min() < 1:
-        raise ValueError(f"expected n >= 1, got {order.min()}")
+        raise ArgumentError(f"expected n >= 1, got {order.min()}")
     # Exact until the end: a degree such as 70 / 120 must meet its threshold S(4) = 7 / 12.
     terms = (Fraction((-1) ** (k - 1), k) for k in range(1, int(order.max(initial=1)) + 1))
     return np.array([float(partial) for partial in accumulate(terms)])[order - 1]
@@ -34,16 +38,14 @@ def alternating_harmonic(n: ArrayLike) -> NDArray[np.float64]:
 class _Membership:
     """Parameters of the fuzzy membership (eq. 7), and the membership itself."""
 
-    intensity: Literal["luminance", "channels"] = "luminance"
+    intensity: Intensity = "luminance"
     """8-bit luminance, or the smallest of the three channels' ratios: the paper says "colour" and "intensities"."""
     trim: float = 0.1
     """Fraction of the pixels left out at either end as outliers."""
 
     def __post_init__(self) -> None:
-        if self.intensity not in ("luminance", "channels"):
-            raise ValueError(f"expected intensity 'luminance' or 'channels', got {self.intensity!r}")
-        if not 0 <= self.trim < 0.5:
-            raise ValueError(f"expected 0 <= trim < 0.5, got {self.trim}")
+        require_choice("intensity", self.intensity, get_args(Intensity))
+        require_number("trim", self.trim, "[0, 0.5)")
 
     def membership(self, patches: Patches) -> NDArray[np.float64]:
         """mu(v) (n_voxels,) in [0, 1] (eq. 7)."""
@@ -96,8 +98,7 @@ class FuzzySingle(_Membership):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not 0 <= self.threshold <= 1:
-            raise ValueError(f"expected a threshold between 0 and 1, got {self.threshold}")
+        require_number("threshold", self.threshold, "[0, 1]")
 
     def __call__(self, patches: Patches) -> Verdict:
         """Membership mu of every voxel against T."""

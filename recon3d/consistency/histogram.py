@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from recon3d.checks import require_number, require_whole
 from recon3d.consistency.base import Patches, Verdict
 from recon3d.kernels.view_colors import shared_bins
 
@@ -35,10 +36,8 @@ class Histogram:
     """Width that two neighbouring bins share, as a fraction of a bin without overlap; in [0, 1)."""
 
     def __post_init__(self) -> None:
-        if not 1 <= self.bins <= _MOST_BINS or self.bins != int(self.bins):
-            raise ValueError(f"expected a whole number of bins from 1 to {_MOST_BINS}, got {self.bins}")
-        if not 0 <= self.overlap < 1:
-            raise ValueError(f"expected 0 <= overlap < 1, got {self.overlap}")
+        require_whole("bins", self.bins, most=_MOST_BINS)
+        require_number("overlap", self.overlap, "[0, 1)")
 
     def __call__(self, patches: Patches) -> Verdict:
         """Share of intersecting pairs of views."""

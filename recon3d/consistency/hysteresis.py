@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from recon3d.consistency.base import AroundTest, ConsistencyTest, Patches, Verdict
+from recon3d.checks import require_number
+from recon3d.consistency.base import AroundTest, ConsistencyTest, Patches, Verdict, require_test
 
 
 @dataclass(frozen=True)
@@ -27,10 +28,9 @@ class Hysteresis(AroundTest):
     """Half the width of the band, in degrees of the test; None: the test's own two thresholds."""
 
     def __post_init__(self) -> None:
-        if not callable(self.test):
-            raise ValueError(f"expected a photo-consistency test, got {self.test!r}")
-        if self.margin is not None and not 0 <= self.margin <= 1:
-            raise ValueError(f"expected a margin between 0 and 1, got {self.margin}")
+        require_test(self.test)
+        if self.margin is not None:
+            require_number("margin", self.margin, "[0, 1]")
 
     def __call__(self, patches: Patches) -> Verdict:
         """The test's verdict with wider or narrower thresholds."""

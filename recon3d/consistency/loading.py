@@ -9,8 +9,11 @@ from dataclasses import dataclass, field
 from functools import partial
 from inspect import isfunction, signature
 from pathlib import Path
+from typing import Any
 
 from recon3d.consistency.base import AroundTest, ConsistencyTest, Patches, Verdict
+from recon3d.consistency.failure import failure
+from recon3d.errors import ArgumentError
 
 
 @dataclass(frozen=True, repr=False)
@@ -28,17 +31,12 @@ class LoadedTest(AroundTest):
         options = ", ".join(f"{name}={value!r}" for name, value in self.options.items())
         return f"{self.path}({options})" if options else self.path
 
-    def __call__(self, patches: Patches) -> Verdict:
-        """The test's verdict.
+    def __hash__(self) -> int:
+        return hash(self.path)
 
-        Raises
-        ------
-        ValueError : the test raised something; one line.
-        """
-        try:
-            return self.test(patches)
-        except Exception as error:  # whatever a user's own code does
-            raise ValueError(f"{self.path}: {type(error).__name__}: {_one_line(error)}") from error
+    def __call__(self, patches: Patches) -> Verdict:
+        """The test's verdict."""
+        return self.test(patches)
 
 
 def load_by_path(path: str, options: Mapping[str, object]) -> LoadedTest:
@@ -48,27 +46,41 @@ def load_by_path(path: str, options: Mapping[str, object]) -> LoadedTest:
 
 def _made(path: str, options: Mapping[str, object]) -> ConsistencyTest:
     """The test itself."""
+    found = _found(path)
+    is_function = isfunction(found)
+    try:
+        if is_function:  # it is the test; its first argument are the patches
+            signature(found).bind(None, **options)
+        elif isinstance(found, type):
+            signature(found).bind(**options)
+    except TypeError as error:
+        raise ArgumentError(f"{path}: {error}") from None
+    if is_function:
+        return partial(found, **options) if options else found
+    try:
+        test: object = found(**options) if isinstance(found, type) or options else found
+    except ValueError as error:  # an option that the user's class refuses
+        raise ArgumentError(f"{path}: {error}") from error
+    except Exception as error:
+        raise failure(path, error) from error
+    if not callable(test):
+        raise ArgumentError(f"{path}: a {type(test).__name__} cannot be called with patches")
+    return test
+
+
+def _found(path: str) -> Any:
+    """The class, function or object of a path "module:name"."""
     module, _, name = path.partition(":")
     if not (module and name):
-        raise ValueError(f"expected module:name, got {path!r}")
-    found = _import(module)
+        raise ArgumentError(f"expected module:name, got {path!r}")
+    found: Any = _import(module)
     for part in name.split("."):
         if not hasattr(found, part):
-            raise ValueError(f"{path}: {module} has no {name}")
+            raise ArgumentError(f"{path}: {module} has no {name}")
         found = getattr(found, part)
     if not callable(found):
-        raise ValueError(f"{path}: expected a class or function, got {type(found).__name__}")
-    try:
-        if isfunction(found):
-            # A function is the test; its first argument are the patches.
-            signature(found).bind(None, **options)
-            return partial(found, **options) if options else found
-        test = found(**options) if isinstance(found, type) or options else found
-    except TypeError as error:
-        raise ValueError(f"{path}: {error}") from None
-    if not callable(test):
-        raise ValueError(f"{path}: a {type(test).__name__} cannot be called with patches")
-    return test
+        raise ArgumentError(f"{path}: expected a class or function, got {type(found).__name__}")
+    return found
 
 
 def _import(name: str) -> object:
@@ -81,12 +93,7 @@ def _import(name: str) -> object:
     except Exception as error:  # whatever a user's module does while it is imported
         missing = error.name if isinstance(error, ModuleNotFoundError) else None
         if missing and (name == missing or name.startswith(f"{missing}.")):
-            raise ValueError(f"no module {name!r} in {here} or where Python looks") from None
-        raise ValueError(f"cannot import {name}: {type(error).__name__}: {_one_line(error)}") from error
+            raise ArgumentError(f"no module {name!r} in {here} or where Python looks") from None
+        raise failure(f"cannot import {name}", error) from error
     finally:
         sys.path.remove(here)
-
-
-def _one_line(error: Exception) -> str:
-    """What an error says."""
-    return " ".join(str(error).split())

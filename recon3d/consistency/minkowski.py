@@ -7,6 +7,7 @@ from typing import Literal
 
 import numpy as np
 
+from recon3d.checks import require_choice, require_number
 from recon3d.consistency.base import Patches, Verdict, verdict_of
 from recon3d.consistency.moments import Moments
 from recon3d.kernels.view_colors import largest_norms
@@ -37,10 +38,9 @@ class Minkowski:
     eight photographs of a real one."""
 
     def __post_init__(self) -> None:
-        if self.norm not in _ORDERS:
-            raise ValueError(f"expected norm {', '.join(_ORDERS)}, got {self.norm!r}")
-        if self.threshold is not None and not self.threshold >= 0:
-            raise ValueError(f"expected a threshold of 0 or more, got {self.threshold}")
+        require_choice("norm", self.norm, _ORDERS)
+        if self.threshold is not None:
+            require_number("threshold", self.threshold, "[0, inf)")
 
     def __call__(self, patches: Patches) -> Verdict:
         """Largest distance of every voxel against T."""

@@ -24,12 +24,6 @@ def f_limits(p: float, between: NDArray[np.int64], within: NDArray[np.int64]) ->
     return np.array([_f(p, *divmod(int(pair), 1 << 32)) for pair in known], np.float64)[where]
 
 
-def require_probability(p: float) -> None:
-    """Refuse what is no probability between 0 and 1."""
-    if not 0 < p < 1:
-        raise ValueError(f"expected 0 < p < 1, got {p}")
-
-
 @lru_cache(maxsize=1 << 16)
 def _chi_square(p: float, degrees: int) -> float:
     from scipy.stats import chi2  # half a second to import, and few tests need it

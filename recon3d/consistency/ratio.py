@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from recon3d.checks import require_number
 from recon3d.consistency.base import Patches, Verdict, verdict_of
 from recon3d.consistency.moments import Moments
-from recon3d.consistency.quantiles import chi_square_limits, f_limits, require_probability
+from recon3d.consistency.quantiles import chi_square_limits, f_limits
 
 _NORMAL_MAD = 1.4826  # standard deviations of a normal variable in its median absolute deviation
 _OUTLIER = 2.5  # standard deviations
@@ -38,8 +39,8 @@ class LikelihoodRatio:
     """Share of true surface that may be refused."""
 
     def __post_init__(self) -> None:
-        _require_noise(self.sigma0)
-        require_probability(self.p)
+        require_number("sigma0", self.sigma0, "(0, inf)")
+        require_number("p", self.p, "(0, 1)")
 
     def __call__(self, patches: Patches) -> Verdict:
         """Statistic of every voxel against the chi-square limit."""
@@ -73,9 +74,8 @@ class FTest:
     alone."""
 
     def __post_init__(self) -> None:
-        require_probability(self.p)
-        if not self.floor > 0:
-            raise ValueError(f"expected a floor > 0, got {self.floor}")
+        require_number("p", self.p, "(0, 1)")
+        require_number("floor", self.floor, "(0, inf)")
 
     def __call__(self, patches: Patches) -> Verdict:
         """F of every voxel against its quantile."""
@@ -113,10 +113,9 @@ class OutlierRejection:
     """Fraction of the seeing views, of which more have to be left."""
 
     def __post_init__(self) -> None:
-        _require_noise(self.sigma0)
-        require_probability(self.p)
-        if not 0 <= self.quorum < 1:
-            raise ValueError(f"expected 0 <= quorum < 1, got {self.quorum}")
+        require_number("sigma0", self.sigma0, "(0, inf)")
+        require_number("p", self.p, "(0, 1)")
+        require_number("quorum", self.quorum, "[0, 1)")
 
     def __call__(self, patches: Patches) -> Verdict:
         """Statistic of the inliers of every voxel against their chi-square limit."""
@@ -135,12 +134,6 @@ class OutlierRejection:
         spread = _NORMAL_MAD * _median(away, seen)
         noise = self.sigma0 / np.sqrt(np.maximum(moments.counts, 1))
         return np.asarray(seen & (away <= _OUTLIER * np.maximum(spread[:, None], noise)))
-
-
-def _require_noise(sigma0: float) -> None:
-    """Refuse a deviation that is not positive."""
-    if not sigma0 > 0:
-        raise ValueError(f"expected sigma0 > 0, got {sigma0}")
 
 
 def _median(values: NDArray[np.float64], seen: NDArray[np.bool_]) -> NDArray[np.float64]:

@@ -6,8 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from recon3d.checks import require_number
 from recon3d.consistency.base import Patches, Verdict, verdict_of
 from recon3d.consistency.moments import Moments
+from recon3d.errors import ArgumentError
 
 _GREY_LEVELS = 255.0
 
@@ -36,10 +38,11 @@ class Specular:
     """Colour of the light in the images, 0 to 255."""
 
     def __post_init__(self) -> None:
-        if not self.threshold >= 0:
-            raise ValueError(f"expected a threshold of 0 or more, got {self.threshold}")
-        if len(self.light) != 3 or not all(0 <= channel <= _GREY_LEVELS for channel in self.light):
-            raise ValueError(f"expected a light of three channels from 0 to 255, got {self.light!r}")
+        require_number("threshold", self.threshold, "[0, inf)")
+        if not isinstance(self.light, tuple) or len(self.light) != 3:
+            raise ArgumentError(f"expected a light of three channels, got {self.light!r}")
+        for channel in self.light:
+            require_number("each channel of light", channel, f"[0, {_GREY_LEVELS}]")
 
     def __call__(self, patches: Patches) -> Verdict:
         """Largest distance of a view's mean colour from the line of every voxel."""

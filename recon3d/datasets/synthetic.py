@@ -12,6 +12,7 @@ import open3d as o3d
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
+from recon3d.errors import ArgumentError
 from recon3d.rendering.orbit import look_at
 from recon3d.rendering.renderer import Renderer, pixel_rays
 from recon3d.scene.bounds import Bounds
@@ -60,9 +61,9 @@ def little_temple(
     seed : of noise and exposure.
     """
     if n_views < 1 or width < 8 or height < 8 or supersampling < 1:
-        raise ValueError("expected n_views >= 1, images of 8x8 pixels or more, supersampling >= 1")
+        raise ArgumentError("expected n_views >= 1, images of 8x8 pixels or more, supersampling >= 1")
     if not 0 <= noise < 256 or not 0 <= light_change < 10:
-        raise ValueError(f"expected 0 <= noise < 256 and 0 <= light_change < 10, got {noise} and {light_change}")
+        raise ArgumentError(f"expected 0 <= noise < 256 and 0 <= light_change < 10, got {noise} and {light_change}")
     ground_truth = temple_mesh()
     center = ground_truth.get_axis_aligned_bounding_box().get_center()
     cameras = ring(center, n_views=n_views, distance=0.6, width=width, height=height, focal=2.35 * width)

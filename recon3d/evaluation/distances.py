@@ -8,6 +8,7 @@ import numpy as np
 import open3d as o3d
 from numpy.typing import NDArray
 
+from recon3d.errors import ArgumentError
 from recon3d.rendering.ray_caster import RayCaster
 from recon3d.summary import Summarised
 from recon3d.volume.dense import CarvingVolume
@@ -143,19 +144,19 @@ def evaluate(
     algorithms", CVPR 2006, section 5.
     """
     if not 0 < accuracy_percent <= 100:
-        raise ValueError(f"expected an accuracy percentage in (0, 100], got {accuracy_percent}")
+        raise ArgumentError(f"expected an accuracy percentage in (0, 100], got {accuracy_percent}")
     if not (0 < completeness_threshold_mm < np.inf and 0 < mm_per_unit < np.inf):
-        raise ValueError(
+        raise ArgumentError(
             f"expected a positive completeness threshold and mm_per_unit, got {completeness_threshold_mm} "
             f"and {mm_per_unit}"
         )
     if ground_truth.is_empty():
-        raise ValueError(f"the {type(ground_truth).__name__} to evaluate against is empty")
+        raise ArgumentError(f"the {type(ground_truth).__name__} to evaluate against is empty")
     if spacing is None:
         diagonal = np.linalg.norm(ground_truth.get_max_bound() - ground_truth.get_min_bound())
         spacing = float(diagonal) / SAMPLES_PER_DIAGONAL
     if not 0 < spacing < np.inf:
-        raise ValueError(f"expected a positive spacing of the samples, got {spacing}")
+        raise ArgumentError(f"expected a positive spacing of the samples, got {spacing}")
     rng = np.random.default_rng(seed)
     samples_g, owner_g = sample_surface(ground_truth, spacing, rng)
     samples_r, _ = sample_surface(reconstruction, spacing, rng)
@@ -171,13 +172,15 @@ def evaluate(
             ground_truth.triangles if isinstance(ground_truth, o3d.geometry.TriangleMesh) else ground_truth.points
         )
         if valid.shape != (n_owners,) or valid.dtype != np.bool_ or not valid.any():
-            raise ValueError(f"expected a bool mask ({n_owners},) with a True in it, got {valid.shape} {valid.dtype}")
+            raise ArgumentError(
+                f"expected a bool mask ({n_owners},) with a True in it, got {valid.shape} {valid.dtype}"
+            )
         valid_g = valid[owner_g]
 
     to_g, nearest = _distances(samples_r[::step_r], samples_g, want_index=valid is not None)
     kept = valid_g[nearest] if valid is not None else np.ones(len(to_g), np.bool_)
     if not kept.any():
-        raise ValueError("every sample of the reconstruction lies nearest to filler: are both in one frame?")
+        raise ArgumentError("every sample of the reconstruction lies nearest to filler: are both in one frame?")
     to_r, _ = _distances(samples_g[valid_g][::step_g], samples_r)
     return Evaluation(
         np.sort(to_g[kept]) * mm_per_unit,
@@ -217,7 +220,7 @@ def sample_surface(
     else:
         return _sample_mesh(shape, spacing, rng)
     if not len(points):
-        raise ValueError(f"the {type(shape).__name__} to evaluate is empty")
+        raise ArgumentError(f"the {type(shape).__name__} to evaluate is empty")
     return points, np.arange(len(points))
 
 
@@ -226,11 +229,11 @@ def _sample_mesh(
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     corners = np.asarray(mesh.vertices)[np.asarray(mesh.triangles)]
     if not len(corners):
-        raise ValueError("the mesh to evaluate has no triangles")
+        raise ArgumentError("the mesh to evaluate has no triangles")
     area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     wanted = float(area.sum()) / spacing**2
     if not wanted < MOST_SAMPLES:
-        raise ValueError(
+        raise ArgumentError(
             f"measuring would take {wanted:.3g} samples of a mesh; expected two shapes of about one size: "
             "are both in one unit, and finite?"
         )

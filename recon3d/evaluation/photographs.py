@@ -8,6 +8,7 @@ import numpy as np
 import open3d as o3d
 from numpy.typing import NDArray
 
+from recon3d.errors import ArgumentError
 from recon3d.evaluation.shape import ShapeQuality
 from recon3d.rendering.ray_caster import RayCaster
 from recon3d.rendering.renderer import Renderer
@@ -133,10 +134,10 @@ def measure_quality(
 
     Raises
     ------
-    ValueError : the mesh has no triangles, or ``max_pixels`` is below 1.
+    ArgumentError : the mesh has no triangles, or ``max_pixels`` is below 1.
     """
     if max_pixels < 1:
-        raise ValueError(f"expected max_pixels of at least 1, got {max_pixels}")
+        raise ArgumentError(f"expected max_pixels of at least 1, got {max_pixels}")
     shape = ShapeQuality.of(mesh)
     total = sum(view.width * view.height for view in scene.views)
     step = int(np.ceil(np.sqrt(total / max_pixels)))

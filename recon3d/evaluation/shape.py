@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from recon3d.errors import ArgumentError
+
 
 @dataclass(frozen=True)
 class ShapeQuality:
@@ -46,11 +48,11 @@ class ShapeQuality:
 
         Raises
         ------
-        ValueError : it has no triangles.
+        ArgumentError : it has no triangles.
         """
         triangles = np.asarray(mesh.triangles, np.int64)
         if not len(triangles):
-            raise ValueError("the mesh to measure has no triangles")
+            raise ArgumentError("the mesh to measure has no triangles")
         edges = _Edges.of(triangles)
         fan, n_fans = edges.fans()
         piece_of_fan, n_pieces = _connected(n_fans, fan[edges.ends])

@@ -22,6 +22,7 @@ from recon3d.carving import (
 from recon3d.carving.hysteresis import Connectivity, neighbour_offsets
 from recon3d.carving.observations import UnclaimedPixels
 from recon3d.carving.observer import Judgement, Voxel, VoxelWatcher, voxel_text
+from recon3d.errors import ArgumentError
 from recon3d.explaining.evidence import PixelKind, ViewEvidence, view_evidence
 from recon3d.explaining.figure import NeighbourSlices, draw_explanation
 from recon3d.explaining.pointing import most_telling, place_text, voxel_at, voxels_on_ray
@@ -238,13 +239,13 @@ def explain(
 
     Raises
     ------
-    ValueError : neither or both of at and pixel, a place outside the volume, a pixel outside the image, or one whose
+    ArgumentError : neither or both of at and pixel, a place outside the volume, a pixel outside the image, or one whose
         ray misses the volume.
     SceneError : no view of that name.
     EmptyReconstructionError : everything was carved.
     """
     if (at is None) == (pixel is None):
-        raise ValueError("expected a place (at) or a pixel, one of them")
+        raise ArgumentError("expected a place (at) or a pixel, one of them")
     settings = (settings or Settings()).resolved(scene)
     scene = choose_views(scene, settings)
     method = settings.method_for(scene).dense()

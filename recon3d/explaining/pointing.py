@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from recon3d.carving.observer import Voxel
+from recon3d.errors import ArgumentError
 from recon3d.explaining.evidence import Silhouettes
 from recon3d.kernels.item_buffer import enter_box, next_voxel
 from recon3d.scene.packed import PackedViews
@@ -20,11 +21,11 @@ def voxel_at(volume: CarvingVolume, at: ArrayLike | None) -> Voxel:
     """The voxel of a volume that holds a place (3,) in the world."""
     place = np.asarray(at, np.float64)
     if place.shape != (3,) or not np.isfinite(place).all():
-        raise ValueError(f"expected a place of three finite numbers, got {at!r}")
+        raise ArgumentError(f"expected a place of three finite numbers, got {at!r}")
     index = np.floor((place - volume.origin) / volume.voxel_size).astype(np.int64)
     if (index < 0).any() or (index >= volume.shape).any():
         low, high = (place_text(corner) for corner in (volume.bounds.low, volume.bounds.high))
-        raise ValueError(f"the place {place_text(place)} lies outside the volume, which spans {low} to {high}")
+        raise ArgumentError(f"the place {place_text(place)} lies outside the volume, which spans {low} to {high}")
     i, j, k = (int(n) for n in index)
     return i, j, k
 
@@ -34,7 +35,7 @@ def voxels_on_ray(scene: Scene, volume: CarvingVolume, pixel: tuple[str, float, 
     name, u, v = pixel
     view = scene.subset([name]).views[0]
     if not (-0.5 <= u < view.width - 0.5 and -0.5 <= v < view.height - 0.5):
-        raise ValueError(f"view {view.name} has {view.width}x{view.height} pixels, got pixel {u:g},{v:g}")
+        raise ArgumentError(f"view {view.name} has {view.width}x{view.height} pixels, got pixel {u:g},{v:g}")
     start = (view.center - volume.origin) / volume.voxel_size
     step = view.cam_from_world[:3, :3].T @ np.linalg.inv(view.K) @ [u, v, 1.0]
     shape, place = np.array(volume.shape), np.empty(3, np.int64)
@@ -45,7 +46,7 @@ def voxels_on_ray(scene: Scene, volume: CarvingVolume, pixel: tuple[str, float, 
         ray.append((i, j, k))
         inside = next_voxel(shape, start, step, place)
     if not ray:
-        raise ValueError(f"the ray of pixel {u:g},{v:g} of view {view.name} misses the volume")
+        raise ArgumentError(f"the ray of pixel {u:g},{v:g} of view {view.name} misses the volume")
     return ray
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import open3d as o3d
 from numpy.typing import NDArray
 
+from recon3d.errors import ArgumentError
 from recon3d.rendering.ray_caster import RayCaster
 from recon3d.scene.view import View
 
@@ -41,7 +42,7 @@ class Rendering:
                 nearness = 1 - 0.85 * (self.depth - near) / max(far - near, 1e-12)
             content = np.repeat(nearness[..., None], 3, axis=2)
         else:
-            raise ValueError(f"expected mode {', '.join(MODES)}, got {mode!r}")
+            raise ArgumentError(f"expected mode {', '.join(MODES)}, got {mode!r}")
         content = np.where(self.hit[..., None], content, 1.0)
         return np.rint(255 * np.clip(content, 0, 1)).astype(np.uint8)
 
@@ -63,7 +64,7 @@ class Renderer:
 
     def __init__(self, mesh: o3d.geometry.TriangleMesh, caster: RayCaster | None = None) -> None:
         if not mesh.has_triangles():
-            raise ValueError("the mesh to render has no triangles")
+            raise ArgumentError("the mesh to render has no triangles")
         if not mesh.has_vertex_normals():
             mesh = o3d.geometry.TriangleMesh(mesh)
             mesh.compute_vertex_normals()

@@ -6,6 +6,7 @@ import numpy as np
 import open3d as o3d
 from matplotlib import colormaps
 
+from recon3d.errors import ArgumentError
 from recon3d.evaluation.distances import distance_to_mesh
 
 
@@ -21,7 +22,7 @@ def error_map(
     Swap the two meshes to see what of the ground truth is missing.
     """
     if not full_scale_mm > 0:
-        raise ValueError(f"expected a positive full scale, got {full_scale_mm}")
+        raise ArgumentError(f"expected a positive full scale, got {full_scale_mm}")
     distance = distance_to_mesh(np.asarray(mesh.vertices), ground_truth) * mm_per_unit
     colored = o3d.geometry.TriangleMesh(mesh)
     shades = colormaps["turbo"](np.clip(distance / full_scale_mm, 0, 1))[:, :3]

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from recon3d.errors import ArgumentError
 from recon3d.io.files import write_text
 
 _STYLE = (
@@ -30,7 +31,9 @@ class Section:
 
     def __post_init__(self) -> None:
         if len({len(row) for row in self.table}) > 1:
-            raise ValueError(f"section {self.title}: expected rows of one length, got {[len(r) for r in self.table]}")
+            raise ArgumentError(
+                f"section {self.title}: expected rows of one length, got {[len(r) for r in self.table]}"
+            )
 
     def markdown(self) -> str:
         """The section in Markdown; each row of pictures is a table of its own."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from recon3d.errors import ArgumentError
 from recon3d.io.files import write_json
 from recon3d.io.geometry import MESH_SUFFIXES, write_geometry
 from recon3d.reporting.pictures import save_pictures
@@ -30,7 +31,7 @@ def save(
     known = [suffix[1:] for suffix in MESH_SUFFIXES]
     unknown = [name for name in mesh_formats if name not in known]
     if unknown:
-        raise ValueError(f"expected mesh formats among {', '.join(known)}, got {', '.join(unknown)}")
+        raise ArgumentError(f"expected mesh formats among {', '.join(known)}, got {', '.join(unknown)}")
     # The record tells a finished result: it goes first and comes last.
     record = result.record()
     (folder / "record.json").unlink(missing_ok=True)

@@ -9,7 +9,7 @@ import numpy as np
 import open3d as o3d
 from numpy.typing import NDArray
 
-from recon3d.errors import EmptyReconstructionError
+from recon3d.errors import ArgumentError, EmptyReconstructionError
 from recon3d.kernels.planes import average_planes
 from recon3d.scene.scene import Scene
 from recon3d.stereo.patch_match import DepthMap, Matching, plane_normals
@@ -53,7 +53,7 @@ def fuse(scene: Scene, depth_maps: Sequence[DepthMap], matching: Matching) -> Fu
     EmptyReconstructionError : no two views agree on any point.
     """
     if len(depth_maps) != len(scene.views):
-        raise ValueError(f"expected a depth map of each of {len(scene.views)} views, got {len(depth_maps)}")
+        raise ArgumentError(f"expected a depth map of each of {len(scene.views)} views, got {len(depth_maps)}")
     views = scene.packed
     planes = np.stack([depth_map.planes for depth_map in depth_maps])
     costs = np.stack([depth_map.costs for depth_map in depth_maps])

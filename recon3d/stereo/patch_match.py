@@ -11,6 +11,8 @@ import open3d as o3d
 from numpy.typing import NDArray
 
 from recon3d.carving.depth_votes import MIN_DEVIATION
+from recon3d.checks import require_number, require_whole
+from recon3d.errors import ArgumentError
 from recon3d.kernels.planes import NOTHING, find_visible, match_planes
 from recon3d.rendering.renderer import Renderer
 from recon3d.scene.scene import Scene
@@ -62,24 +64,15 @@ class Matching:
     """Largest 1 - NCC of a match."""
 
     def __post_init__(self) -> None:
-        whole = {
-            name: getattr(self, name) for name in ("stride", "radius", "spacing", "rounds", "neighbours", "compared")
-        }
-        wrong = [
-            f"{name}={value}" for name, value in whole.items() if not isinstance(value, int | np.integer) or value < 1
-        ]
-        if wrong:
-            raise ValueError(f"expected whole numbers of at least 1, got {', '.join(wrong)}")
+        for name in ("stride", "radius", "spacing", "rounds", "compared"):
+            require_whole(name, getattr(self, name))
+        require_whole("neighbours", self.neighbours, most=_MOST_NEIGHBOURS)
+        require_number("contrast", self.contrast, "(0, inf)")
+        require_number("reach", self.reach, "(0, inf)")
+        require_number("cavities", self.cavities, "[0, inf)")
+        require_number("max_cost", self.max_cost, "(0, 1]")
         if self.radius < self.spacing:
-            raise ValueError(f"expected a radius of at least the spacing, got {self.radius} and {self.spacing}")
-        if self.neighbours > _MOST_NEIGHBOURS:
-            raise ValueError(f"expected at most {_MOST_NEIGHBOURS} neighbours, got {self.neighbours}")
-        lengths = 0 < self.reach < np.inf and 0 <= self.cavities < np.inf
-        if not (self.contrast > 0 and lengths and 0 < self.max_cost <= 1):
-            raise ValueError(
-                "expected contrast > 0, finite reach > 0 and cavities >= 0, and max_cost in (0, 1], "
-                f"got {self.contrast}, {self.reach}, {self.cavities} and {self.max_cost}"
-            )
+            raise ArgumentError(f"expected a radius of at least the spacing, got {self.radius} and {self.spacing}")
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ from recon3d import tasks
 from recon3d.carving.depth_votes import carve_by_depths, hull_of_field
 from recon3d.carving.item_buffer import ItemBuffer
 from recon3d.carving.visible import color_visible
+from recon3d.errors import ArgumentError
 from recon3d.scene.neighbours import matching_neighbours
 from recon3d.scene.scene import Scene
 from recon3d.stereo.fusion import Fusion, fuse
@@ -83,7 +84,7 @@ def refine(
     EmptyReconstructionError : the hull is empty, or no two views agree on any point.
     """
     if not passes:
-        raise ValueError("expected at least one pass of matching")
+        raise ArgumentError("expected at least one pass of matching")
     report = progress or (lambda _done, _total: None)
     key = content_key(scene, hull.lattice, hull.arrays())
     found = Refinement(o3d.t.geometry.PointCloud(), hull)

@@ -180,7 +180,7 @@ def compare(
 
     Raises
     ------
-    ValueError : a test, parameter or view that is not there, or a method that uses no test; before any work.
+    ArgumentError : a test, parameter or view that is not there, or a method that uses no test; before any work.
     VisibilityError, VolumeTooLargeError : as in ``reconstruct``.
     """
     entries = expand_variants(tests, sweep)

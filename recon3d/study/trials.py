@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from recon3d._version import __version__
 from recon3d.carving import GeneralizedVoxelColoring, JudgingMethod, VoxelColoring
 from recon3d.carving.visibility import spread_views
-from recon3d.errors import ArgumentError, EmptyReconstructionError
+from recon3d.errors import ArgumentError, EmptyReconstructionError, FailedTestError
 from recon3d.evaluation.distances import Evaluation, evaluate
 from recon3d.evaluation.photographs import measure_quality
 from recon3d.pipeline import Progress, reconstruct
@@ -106,8 +106,8 @@ class TrialSetup:
             trial = Trial(entry.label, entry.family, entry.value, 0, round(perf_counter() - start, 3), peak.mib)
             blank = [np.full((1, PICTURE_WIDTH, 3), 255, np.uint8)] * len(self.shown.views)
             return trial, labelled_row(f"{entry.label}: nothing left", blank, width=PICTURE_WIDTH)
-        except ValueError as error:
-            raise ValueError(f"{entry.label}: {str(error).removeprefix(f'{entry.family}: ')}") from error
+        except FailedTestError as error:
+            raise FailedTestError(f"{entry.label}: {error}") from error
         renderer = Renderer(result.mesh)
         row = self.row(entry.label, [renderer.render_view(view).picture() for view in self.shown.views])
         return self._measured(entry, result, peak.mib), row
@@ -204,14 +204,14 @@ def set_up_trials(
     if method.test != type(method)().test:
         raise ArgumentError(f"expected a method with its own test, since tests are compared, got {method.test!r}")
     if options and ground_truth is None:
-        raise ValueError(f"expected a ground truth for {', '.join(options)}")
+        raise ArgumentError(f"expected a ground truth for {', '.join(options)}")
     resolved = replace(settings, carving=method).resolved(scene)
     admitted = choose_views(scene, replace(resolved, max_views=None))
     left_out = _left_out(scene, admitted, leave_out)
     names = [view.name for view in left_out]
     rest = tuple(view for view in admitted.views if view.name not in names)
     if not rest:
-        raise ValueError(f"expected views to be left for the tests, got all of {', '.join(names)} left out")
+        raise ArgumentError(f"expected views to be left for the tests, got all of {', '.join(names)} left out")
     used = spread_views(replace(admitted, views=rest), resolved.max_views or len(rest))
     chosen = np.unique(np.linspace(0, len(admitted.views) - 1, min(_SHOWN, len(admitted.views))).round().astype(int))
     return TrialSetup(
@@ -231,5 +231,5 @@ def _left_out(scene: Scene, admitted: Scene, leave_out: int | Sequence[str]) -> 
     if not isinstance(leave_out, int):
         return scene.subset(leave_out).views
     if leave_out < 0 or leave_out == 1:
-        raise ValueError(f"expected to leave out every view of 2 or more, 0 (none) or names, got {leave_out}")
+        raise ArgumentError(f"expected to leave out every view of 2 or more, 0 (none) or names, got {leave_out}")
     return admitted.views[leave_out - 1 :: leave_out] if leave_out else ()

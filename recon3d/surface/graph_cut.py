@@ -9,7 +9,7 @@ import open3d as o3d
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, binary_fill_holes, gaussian_filter, generate_binary_structure
 
-from recon3d.errors import EmptyReconstructionError
+from recon3d.errors import ArgumentError, EmptyReconstructionError
 from recon3d.kernels.min_cut import SINK, min_cut
 from recon3d.kernels.splatting import splat_planes
 from recon3d.surface.extraction import mesh_level
@@ -85,7 +85,7 @@ def graph_cut(
 
     Raises
     ------
-    ValueError : attributes are missing, misshapen or out of range.
+    ArgumentError : attributes are missing, misshapen or out of range.
     EmptyReconstructionError : no point lies in the hull, or everything is cheapest empty.
 
     References
@@ -96,9 +96,11 @@ def graph_cut(
     geodesics and minimal surfaces via graph cuts", ICCV 2003 (areas on a lattice).
     """
     if not (0 <= attraction < np.inf and 0 < spread < np.inf and margin >= 0):
-        raise ValueError(f"expected attraction and margin >= 0 and spread > 0, got {attraction}, {margin} and {spread}")
+        raise ArgumentError(
+            f"expected attraction and margin >= 0 and spread > 0, got {attraction}, {margin} and {spread}"
+        )
     if not (0 < evidence <= _DEAREST and 0 <= ballooning <= _DEAREST):
-        raise ValueError(
+        raise ArgumentError(
             f"expected evidence in (0, {_DEAREST}] and ballooning in [0, {_DEAREST}], got {evidence} and {ballooning}"
         )
     solid = hull.with_interior.occupied
@@ -129,16 +131,16 @@ class _OrientedPoints:
     def __post_init__(self) -> None:
         n = len(self.world)
         if not self.world.shape == self.normals.shape == (n, 3) or self.confidence.shape != (n,):
-            raise ValueError(
+            raise ArgumentError(
                 f"expected points with positions and normals (n, 3) and confidence (n,), got {self.world.shape}, "
                 f"{self.normals.shape} and {self.confidence.shape}"
             )
         if not np.isfinite(self.world).all():
-            raise ValueError("expected finite positions of points")
+            raise ArgumentError("expected finite positions of points")
         if not (np.abs(np.linalg.norm(self.normals, axis=1) - 1) < 1e-2).all():
-            raise ValueError("expected normals of unit length at all points")
+            raise ArgumentError("expected normals of unit length at all points")
         if not ((self.confidence > 0) & (self.confidence <= 1)).all():
-            raise ValueError("expected confidences of points in (0, 1]")
+            raise ArgumentError("expected confidences of points in (0, 1]")
 
     @classmethod
     def read(cls, cloud: o3d.t.geometry.PointCloud) -> _OrientedPoints:
@@ -146,7 +148,7 @@ class _OrientedPoints:
         names = ("positions", "normals", "confidence")
         missing = [name for name in names if name not in cloud.point]
         if missing:
-            raise ValueError(f"expected points with {', '.join(names)}, got no {missing[0]}")
+            raise ArgumentError(f"expected points with {', '.join(names)}, got no {missing[0]}")
         positions, normals, confidence = (cloud.point[name].cpu().numpy() for name in names)
         confidence = confidence[:, 0] if confidence.ndim == 2 and confidence.shape[1] == 1 else confidence
         return cls(positions.astype(np.float64), normals.astype(np.float32), confidence.astype(np.float32))

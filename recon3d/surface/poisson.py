@@ -9,6 +9,7 @@ import open3d as o3d
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from recon3d.errors import ArgumentError
 from recon3d.surface.extraction import mesh_shape
 from recon3d.surface.graph_cut import graph_cut
 from recon3d.volume.carved import CarvedVolume
@@ -77,9 +78,9 @@ def mesh_points(
     Kazhdan, Hoppe, "Screened Poisson surface reconstruction", ACM Transactions on Graphics 2013.
     """
     if surface not in get_args(Surface):
-        raise ValueError(f"expected surface {', '.join(get_args(Surface))}, got {surface!r}")
+        raise ArgumentError(f"expected surface {', '.join(get_args(Surface))}, got {surface!r}")
     if spacing is not None and not 0 < spacing < np.inf:
-        raise ValueError(f"expected a positive spacing, got {spacing}")
+        raise ArgumentError(f"expected a positive spacing, got {spacing}")
     if surface == "graph-cut":
         return graph_cut(points, hull)
     spacing = spacing or hull.volume.voxel_size / 2

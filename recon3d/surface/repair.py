@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from recon3d.errors import ArgumentError
 from recon3d.rendering.ray_caster import RayCaster
 
 _DIRECTIONS = np.array([[0.54, 0.32, 0.78], [-0.83, 0.47, 0.31], [0.23, -0.71, -0.67]])  # none along a lattice
@@ -81,7 +82,7 @@ def repair_mesh(
     given = np.asarray(mesh.triangles)
     triangles = given if kept is None else given[kept[given].all(axis=1)]
     if not len(triangles):
-        raise ValueError(f"expected a mesh with a triangle to keep, got none of {len(given):,}")
+        raise ArgumentError(f"expected a mesh with a triangle to keep, got none of {len(given):,}")
     first, second, crowded = _neighbouring_corners(triangles)
     sheet = _components(first, second, triangles.size)
     source = np.empty(sheet.max() + 1, np.int64)

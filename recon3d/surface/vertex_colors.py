@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.spatial import cKDTree
 
-from recon3d.errors import EmptyReconstructionError
+from recon3d.errors import ArgumentError, EmptyReconstructionError
 from recon3d.kernels.vertex_colors import agreed_colors
 from recon3d.rendering.ray_caster import RayCaster
 from recon3d.rendering.renderer import pixel_rays
@@ -69,7 +69,7 @@ def color(
     caster = caster or RayCaster(mesh)
     visibility = visibility or VertexVisibility.of(mesh, scene, caster)
     if visibility.seen.shape != (len(scene.views), len(points)):
-        raise ValueError(
+        raise ArgumentError(
             f"expected the visibility of {len(points):,} vertices in {len(scene.views)} views, "
             f"got {visibility.seen.shape[1]:,} in {visibility.seen.shape[0]}"
         )
