@@ -8,13 +8,30 @@ from typing import Any
 
 import numba
 
+from recon3d.kernels.parts import Part, in_parts
+
 # Open3D loads an older TBB than numba asks for; naming the others first keeps numba from warning about it.
 numba.config.THREADING_LAYER_PRIORITY = ["omp", "workqueue", "tbb"]
 
+__all__ = ["Part", "kernel", "span"]
+
 
 def kernel(*, parallel: bool = False) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Compile to machine code that is cached on disk and releases the interpreter lock."""
-    compiled: Callable[[Callable[..., Any]], Callable[..., Any]] = numba.njit(
-        cache=True, nogil=True, parallel=parallel, error_model="numpy"
-    )
-    return compiled
+    """Compile to machine code that is cached on disk and releases the interpreter lock.
+
+    A parallel kernel takes a ``Part`` of the work before the arguments that its callers give, and its outermost loop
+    runs over the ``span`` of that part. It is called once for each of several parts, from as many threads as
+    ``numba.get_num_threads()``: numba's own parallel loops take four times as long to compile, and run no faster.
+    """
+
+    def compile_kernel(function: Callable[..., Any]) -> Callable[..., Any]:
+        compiled = numba.njit(cache=True, nogil=True, error_model="numpy")(function)
+        return in_parts(compiled) if parallel else compiled
+
+    return compile_kernel
+
+
+@kernel()
+def span(part: Part, count: int) -> Any:
+    """Range of those of so many passes through a loop that are a part's share."""
+    return range(count * part.number // part.of, count * (part.number + 1) // part.of)

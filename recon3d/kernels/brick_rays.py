@@ -6,10 +6,9 @@ A ray is the stored voxel that it sees, flat; NOT_ENTERED before its first walk,
 from typing import Any
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
-from recon3d.kernels import kernel
+from recon3d.kernels import Part, kernel, span
 from recon3d.kernels.bricks import BRICK, SOLID
 from recon3d.kernels.item_buffer import enter_box, next_voxel, pixel_ray
 
@@ -19,6 +18,7 @@ _MET_SOLID = -3
 
 @kernel(parallel=True)
 def advance_bricks(
+    part: Part,
     shape: NDArray[np.int64],
     origin: NDArray[np.float64],
     size: float,
@@ -37,12 +37,10 @@ def advance_bricks(
     """
     n_views, height, width = items.shape
     flat = occupied.ravel()
-    for line in prange(n_views * height):
+    start, step, place = np.empty(3), np.empty(3), np.empty(3, np.int64)
+    for line in span(part, n_views * height):
         view = line // height
         row = line % height
-        start = np.empty(3)
-        step = np.empty(3)
-        place = np.empty(3, np.int64)
         for column in range(width):
             item = items[view, row, column]
             if item == GONE or (item >= 0 and flat[item]):

@@ -7,10 +7,9 @@
 from typing import Any
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
-from recon3d.kernels import kernel
+from recon3d.kernels import Part, kernel, span
 
 BRICK = 8
 """Voxels along a brick's edge."""
@@ -34,10 +33,16 @@ def holds(slots: NDArray[np.int32], occupied: NDArray[np.bool_], i: int, j: int,
 
 @kernel(parallel=True)
 def copy_box(
-    slots: NDArray[np.int32], values: Any, low: NDArray[np.int64], when_empty: Any, when_solid: Any, box: Any
+    part: Part,
+    slots: NDArray[np.int32],
+    values: Any,
+    low: NDArray[np.int64],
+    when_empty: Any,
+    when_solid: Any,
+    box: Any,
 ) -> None:
     """Values of all voxels of a box whose lowest voxel is low, which may be negative; outside the lattice is empty."""
-    for a in prange(box.shape[0]):
+    for a in span(part, box.shape[0]):
         i = low[0] + a
         for b in range(box.shape[1]):
             j = low[1] + b
@@ -55,10 +60,14 @@ def copy_box(
 
 @kernel(parallel=True)
 def surface_voxels(
-    slots: NDArray[np.int32], bricks: NDArray[np.int64], occupied: NDArray[np.bool_], surface: NDArray[np.bool_]
+    part: Part,
+    slots: NDArray[np.int32],
+    bricks: NDArray[np.int64],
+    occupied: NDArray[np.bool_],
+    surface: NDArray[np.bool_],
 ) -> None:
     """Occupied stored voxels with an empty face neighbour; bricks (n, 3) says where each stored brick lies."""
-    for n in prange(bricks.shape[0]):
+    for n in span(part, bricks.shape[0]):
         i0, j0, k0 = bricks[n, 0] * BRICK, bricks[n, 1] * BRICK, bricks[n, 2] * BRICK
         for a in range(BRICK):
             for b in range(BRICK):
@@ -75,9 +84,11 @@ def surface_voxels(
 
 
 @kernel(parallel=True)
-def exposed_bricks(slots: NDArray[np.int32], occupied: NDArray[np.bool_], exposed: NDArray[np.bool_]) -> None:
+def exposed_bricks(
+    part: Part, slots: NDArray[np.int32], occupied: NDArray[np.bool_], exposed: NDArray[np.bool_]
+) -> None:
     """Solid bricks (bx, by, bz) with an empty voxel across one of their faces."""
-    for bi in prange(slots.shape[0]):
+    for bi in span(part, slots.shape[0]):
         for bj in range(slots.shape[1]):
             for bk in range(slots.shape[2]):
                 if slots[bi, bj, bk] != SOLID:

@@ -3,14 +3,12 @@
 from typing import Any
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
-from recon3d.kernels import kernel
+from recon3d.kernels import Part, kernel, span
 from recon3d.kernels.rays import walk
 
 _OPAQUE = 1e-4  # what is seen with less than this is not seen
-_BLOCK = 256  # voxels that share one scratch array
 
 
 @kernel()
@@ -29,6 +27,7 @@ def visibility(
 
 @kernel(parallel=True)
 def exist(
+    part: Part,
     voxels: NDArray[np.int64],
     centers: NDArray[np.float64],
     colors: NDArray[np.uint8],
@@ -43,19 +42,18 @@ def exist(
 ) -> None:
     """Posterior probability (n,) of every voxel, and its visibility in every view (n, n_views)."""
     n_views = centers.shape[0]
-    for block in prange((voxels.shape[0] + _BLOCK - 1) // _BLOCK):
-        independent = np.empty(n_views)
-        weight = np.empty(n_views)
-        path = np.empty(sum(probability.shape), np.int64)
-        for n in range(block * _BLOCK, min((block + 1) * _BLOCK, voxels.shape[0])):
-            i, j, k = voxels[n, 0], voxels[n, 1], voxels[n, 2]
-            for view in range(n_views):
-                through = visibility(probability, centers[view], i, j, k, path) if seen[n, view] else 0.0
-                weights[n, view] = through
-                weight[view] = (1.0 - outliers) * through
-                independent[view] = _density_at(density, colors[n, view])
-            odds = likelihood_ratio(colors[n], weight, independent, sigma) * prior / (1.0 - prior)
-            posterior[n] = odds / (1.0 + odds) if odds < 1e12 else 1.0
+    independent = np.empty(n_views)
+    weight = np.empty(n_views)
+    path = np.empty(sum(probability.shape), np.int64)
+    for n in span(part, voxels.shape[0]):
+        i, j, k = voxels[n, 0], voxels[n, 1], voxels[n, 2]
+        for view in range(n_views):
+            through = visibility(probability, centers[view], i, j, k, path) if seen[n, view] else 0.0
+            weights[n, view] = through
+            weight[view] = (1.0 - outliers) * through
+            independent[view] = _density_at(density, colors[n, view])
+        odds = likelihood_ratio(colors[n], weight, independent, sigma) * prior / (1.0 - prior)
+        posterior[n] = odds / (1.0 + odds) if odds < 1e12 else 1.0
 
 
 @kernel()
@@ -113,9 +111,9 @@ def _density_at(density: NDArray[np.float64], color: NDArray[np.uint8]) -> Any:
 
 
 @kernel(parallel=True)
-def blend(colors: NDArray[np.uint8], weights: NDArray[np.float32], means: NDArray[np.uint8]) -> None:
+def blend(part: Part, colors: NDArray[np.uint8], weights: NDArray[np.float32], means: NDArray[np.uint8]) -> None:
     """Weighted mean (n, 3) of colours (n, n_views, 3); black where nothing has weight."""
-    for n in prange(colors.shape[0]):
+    for n in span(part, colors.shape[0]):
         total = 0.0
         for view in range(colors.shape[1]):
             total += weights[n, view]

@@ -3,10 +3,9 @@
 from typing import Any
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
-from recon3d.kernels import kernel
+from recon3d.kernels import Part, kernel, span
 
 
 @kernel()
@@ -65,6 +64,7 @@ def _box_sum(integral: NDArray[np.int32], u0: int, u1: int, v0: int, v1: int) ->
 
 @kernel(parallel=True)
 def carve_background(
+    part: Part,
     occupied: NDArray[np.bool_],
     origin: NDArray[np.float64],
     size: float,
@@ -74,7 +74,7 @@ def carve_background(
 ) -> None:
     """Clear the voxels whose footprint, wholly inside some image, holds background alone."""
     nx, ny, nz = occupied.shape
-    for i in prange(nx):
+    for i in span(part, nx):
         x = origin[0] + i * size
         for j in range(ny):
             y = origin[1] + j * size
@@ -91,6 +91,7 @@ def carve_background(
 
 @kernel(parallel=True)
 def free_pixels(
+    part: Part,
     voxels: NDArray[np.int64],
     origin: NDArray[np.float64],
     size: float,
@@ -103,7 +104,7 @@ def free_pixels(
     in_frame: NDArray[np.bool_],
 ) -> None:
     """Footprint of every voxel (n, 3) in every view, its number of free pixels, and whether any foreground is in it."""
-    for n in prange(voxels.shape[0]):
+    for n in span(part, voxels.shape[0]):
         x = origin[0] + voxels[n, 0] * size
         y = origin[1] + voxels[n, 1] * size
         z = origin[2] + voxels[n, 2] * size
@@ -124,6 +125,7 @@ def free_pixels(
 
 @kernel(parallel=True)
 def gather(
+    part: Part,
     boxes: NDArray[np.int32],
     view_starts: NDArray[np.int64],
     free: NDArray[np.bool_],
@@ -131,7 +133,7 @@ def gather(
     colors: NDArray[np.uint8],
 ) -> None:
     """Copy the free pixels of all footprints into one ragged array, voxel by voxel, view by view."""
-    for n in prange(boxes.shape[0]):
+    for n in span(part, boxes.shape[0]):
         for view in range(boxes.shape[1]):
             target = view_starts[n, view]
             if target == view_starts[n, view + 1]:
@@ -146,9 +148,9 @@ def gather(
 
 
 @kernel(parallel=True)
-def mark(boxes: NDArray[np.int32], accepted: NDArray[np.int64], free: NDArray[np.bool_]) -> None:
+def mark(part: Part, boxes: NDArray[np.int32], accepted: NDArray[np.int64], free: NDArray[np.bool_]) -> None:
     """Take the pixels of the accepted voxels' footprints out of the free ones."""
-    for view in prange(boxes.shape[1]):
+    for view in span(part, boxes.shape[1]):
         for n in accepted:
             for v in range(boxes[n, view, 2], boxes[n, view, 3] + 1):
                 for u in range(boxes[n, view, 0], boxes[n, view, 1] + 1):

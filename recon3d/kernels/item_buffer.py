@@ -7,14 +7,14 @@ and the next voxel follows from the index and the ray alone, without rounding th
 from typing import Any
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
-from recon3d.kernels import kernel
+from recon3d.kernels import Part, kernel, span
 
 
 @kernel(parallel=True)
 def enter_volume(
+    part: Part,
     shape: NDArray[np.int64],
     origin: NDArray[np.float64],
     size: float,
@@ -25,12 +25,10 @@ def enter_volume(
 ) -> None:
     """First voxel of every wanted pixel's ray in the volume, or -1; from a camera inside it, the camera's own."""
     n_views, height, width = items.shape
-    for line in prange(n_views * height):
+    start, step, place = np.empty(3), np.empty(3), np.empty(3, np.int64)
+    for line in span(part, n_views * height):
         view = line // height
         row = line % height
-        start = np.empty(3)
-        step = np.empty(3)
-        place = np.empty(3, np.int64)
         for column in range(width):
             items[view, row, column] = -1
             if wanted[view, row, column]:
@@ -41,6 +39,7 @@ def enter_volume(
 
 @kernel(parallel=True)
 def advance(
+    part: Part,
     occupied: NDArray[np.bool_],
     origin: NDArray[np.float64],
     size: float,
@@ -53,12 +52,10 @@ def advance(
     n_views, height, width = items.shape
     shape = occupied.shape
     flat = occupied.ravel()
-    for line in prange(n_views * height):
+    start, step, place = np.empty(3), np.empty(3), np.empty(3, np.int64)
+    for line in span(part, n_views * height):
         view = line // height
         row = line % height
-        start = np.empty(3)
-        step = np.empty(3)
-        place = np.empty(3, np.int64)
         for column in range(width):
             item = items[view, row, column]
             if item < 0 or flat[item]:
@@ -136,9 +133,9 @@ def _next_occupied(flat: Any, shape: Any, start: Any, step: Any, place: Any) -> 
 
 
 @kernel(parallel=True)
-def count_items(items: NDArray[np.int32], rank: NDArray[np.int32], counts: NDArray[np.int64]) -> None:
+def count_items(part: Part, items: NDArray[np.int32], rank: NDArray[np.int32], counts: NDArray[np.int64]) -> None:
     """Pixels of every ranked voxel in every view, (n, n_views); rank (flat) is -1 for voxels not asked for."""
-    for view in prange(items.shape[0]):
+    for view in span(part, items.shape[0]):
         for row in range(items.shape[1]):
             for column in range(items.shape[2]):
                 item = items[view, row, column]
@@ -148,6 +145,7 @@ def count_items(items: NDArray[np.int32], rank: NDArray[np.int32], counts: NDArr
 
 @kernel(parallel=True)
 def collect_items(
+    part: Part,
     items: NDArray[np.int32],
     rank: NDArray[np.int32],
     view_starts: NDArray[np.int64],
@@ -155,7 +153,7 @@ def collect_items(
     colors: NDArray[np.uint8],
 ) -> None:
     """Second pass of the counting sort: the colours of every ranked voxel's pixels, view by view."""
-    for view in prange(items.shape[0]):
+    for view in span(part, items.shape[0]):
         filled = view_starts[:, view].copy()
         for row in range(items.shape[1]):
             for column in range(items.shape[2]):

@@ -1,15 +1,15 @@
 """Normalised cross-correlation of windows along the rays of pixels."""
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
-from recon3d.kernels import kernel
+from recon3d.kernels import Part, kernel, span
 from recon3d.kernels.silhouettes import bilinear
 
 
 @kernel(parallel=True)
 def best_depths(
+    part: Part,
     image: NDArray[np.float32],
     width: int,
     height: int,
@@ -36,13 +36,13 @@ def best_depths(
     side = 2 * (radius // stride) + 1
     reach = stride * (radius // stride)
     count = side * side
-    for n in prange(pixels.shape[0]):
+    window = np.empty(count)
+    for n in span(part, pixels.shape[0]):
         scores[n] = -1.0
         u = pixels[n, 0]
         v = pixels[n, 1]
         if u < reach or v < reach or u >= width - reach or v >= height - reach:
             continue
-        window = np.empty(count)
         mean = 0.0
         at = 0
         for dv in range(-reach, reach + 1, stride):
@@ -140,6 +140,7 @@ def _correlation(
 
 @kernel(parallel=True)
 def fuse_depths(
+    part: Part,
     voxels: NDArray[np.int64],
     origin: NDArray[np.float64],
     size: float,
@@ -157,7 +158,7 @@ def fuse_depths(
     surface learns nothing from that view.
     """
     n_views, rows, columns = depth_maps.shape
-    for n in prange(voxels.shape[0]):
+    for n in span(part, voxels.shape[0]):
         x = origin[0] + (voxels[n, 0] + 0.5) * size
         y = origin[1] + (voxels[n, 1] + 0.5) * size
         z = origin[2] + (voxels[n, 2] + 0.5) * size
@@ -184,6 +185,7 @@ def fuse_depths(
 
 @kernel(parallel=True)
 def count_agreements(
+    part: Part,
     projections: NDArray[np.float64],
     centers: NDArray[np.float64],
     world_from_pixel: NDArray[np.float64],
@@ -198,7 +200,7 @@ def count_agreements(
     any depth.
     """
     n_views, rows, columns = depth_maps.shape
-    for line in prange(n_views * rows):
+    for line in span(part, n_views * rows):
         view = line // rows
         row = line % rows
         M = world_from_pixel[view]

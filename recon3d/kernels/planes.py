@@ -5,10 +5,9 @@ depth of a plane is exactly linear.
 """
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
-from recon3d.kernels import kernel
+from recon3d.kernels import Part, kernel, span
 
 NOTHING = 2.0
 """Cost where no window can be compared; 1 - NCC is at most that."""
@@ -16,6 +15,7 @@ NOTHING = 2.0
 
 @kernel(parallel=True)
 def find_visible(
+    part: Part,
     depth: NDArray[np.float32],
     normals: NDArray[np.float32],
     center: NDArray[np.float64],
@@ -34,7 +34,7 @@ def find_visible(
     Depths are of all pixels, normals of the strided ones.
     """
     rows, columns = visible.shape
-    for row in prange(rows):
+    for row in span(part, rows):
         for column in range(columns):
             u = column * stride
             v = row * stride
@@ -72,6 +72,7 @@ def find_visible(
 
 @kernel(parallel=True)
 def match_planes(
+    part: Part,
     image: NDArray[np.float32],
     width: int,
     height: int,
@@ -103,10 +104,8 @@ def match_planes(
     half = radius // spacing
     reach = half * spacing
     count = (2 * half + 1) ** 2
-    for row in prange(rows):
-        window = np.empty(count, np.float32)
-        weight = np.empty(count, np.float32)
-        chosen = np.empty(most_views, np.int64)
+    window, weight, chosen = np.empty(count, np.float32), np.empty(count, np.float32), np.empty(most_views, np.int64)
+    for row in span(part, rows):
         state = np.uint64(row * 7919 + seed * 104729 + 12345)
         for column in range((row + parity) & 1, columns, 2):
             u = column * stride
@@ -123,9 +122,10 @@ def match_planes(
                     n_chosen += 1
             low = 1.0 / farthest[row, column]
             high = 1.0 / nearest[row, column]
-            best_w = planes[row, column, 0]
-            best_u = planes[row, column, 1]
-            best_v = planes[row, column, 2]
+            # As what later trials hold, so that one version of the cost is compiled.
+            best_w = np.float64(planes[row, column, 0])
+            best_u = np.float64(planes[row, column, 1])
+            best_v = np.float64(planes[row, column, 2])
             best = _cost(window, weight, power, u, v, best_w, best_u, best_v, half, spacing, chosen[:n_chosen],
                          homographies, epipoles, others, other_sizes)  # fmt: skip
             # Neighbours at odd distances have the other parity.
@@ -138,8 +138,8 @@ def match_planes(
                     c = column + dc
                     if r < 0 or c < 0 or r >= rows or c >= columns or costs[r, c] >= NOTHING:
                         continue
-                    wu = planes[r, c, 1]
-                    wv = planes[r, c, 2]
+                    wu = np.float64(planes[r, c, 1])
+                    wv = np.float64(planes[r, c, 2])
                     w = planes[r, c, 0] - stride * (wu * dc + wv * dr)
                 else:
                     state, a = _random(state)
@@ -306,6 +306,7 @@ def _correlation(
 
 @kernel(parallel=True)
 def average_planes(
+    part: Part,
     projections: NDArray[np.float64],
     centers: NDArray[np.float64],
     world_from_pixel: NDArray[np.float64],
@@ -331,7 +332,7 @@ def average_planes(
     normal.
     """
     n_views, rows, columns = weights.shape
-    for line in prange(n_views * rows):
+    for line in span(part, n_views * rows):
         view = line // rows
         row = line % rows
         M = world_from_pixel[view]

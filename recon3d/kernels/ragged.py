@@ -1,18 +1,15 @@
 """Statistics of ragged pixel sets: voxel n owns the pixels starts[n] to starts[n + 1]."""
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
-from recon3d.kernels import kernel
-
-_BLOCK = 256  # voxels that share one scratch histogram
+from recon3d.kernels import Part, kernel, span
 
 
 @kernel(parallel=True)
-def mean_colors(colors: NDArray[np.uint8], starts: NDArray[np.int64], means: NDArray[np.uint8]) -> None:
+def mean_colors(part: Part, colors: NDArray[np.uint8], starts: NDArray[np.int64], means: NDArray[np.uint8]) -> None:
     """Mean colour of every non-empty pixel set, rounded half up."""
-    for n in prange(means.shape[0]):
+    for n in span(part, means.shape[0]):
         count = starts[n + 1] - starts[n]
         for channel in range(3):
             total = 0
@@ -23,6 +20,7 @@ def mean_colors(colors: NDArray[np.uint8], starts: NDArray[np.int64], means: NDA
 
 @kernel(parallel=True)
 def decile_ratios(
+    part: Part,
     colors: NDArray[np.uint8],
     starts: NDArray[np.int64],
     weights: NDArray[np.int64],
@@ -34,27 +32,26 @@ def decile_ratios(
     Intensity is the weighted channel sum over 1000, rounded; a result below what ratios already hold replaces it.
     """
     n_voxels = ratios.shape[0]
-    for block in prange((n_voxels + _BLOCK - 1) // _BLOCK):
-        histogram = np.zeros(256, np.int64)
-        for n in range(block * _BLOCK, min((block + 1) * _BLOCK, n_voxels)):
-            count = starts[n + 1] - starts[n]
-            for pixel in range(starts[n], starts[n + 1]):
-                value = (
-                    weights[0] * colors[pixel, 0] + weights[1] * colors[pixel, 1] + weights[2] * colors[pixel, 2] + 500
-                ) // 1000
-                histogram[value] += 1
-            # Ranks count from one; the subtraction keeps 0.1 * 10 from rounding up to rank 2.
-            low_rank = max(int(np.ceil(trim * count - 1e-9)), 1)
-            high_rank = max(int(np.ceil((1.0 - trim) * count - 1e-9)), 1)
-            low = -1
-            high = -1
-            below = 0
-            for value in range(256):
-                below += histogram[value]
-                histogram[value] = 0
-                if low < 0 and below >= low_rank:
-                    low = value
-                if high < 0 and below >= high_rank:
-                    high = value
-            ratio = low / high if high > 0 else 1.0
-            ratios[n] = min(ratios[n], ratio)
+    histogram = np.zeros(256, np.int64)
+    for n in span(part, n_voxels):
+        count = starts[n + 1] - starts[n]
+        for pixel in range(starts[n], starts[n + 1]):
+            value = (
+                weights[0] * colors[pixel, 0] + weights[1] * colors[pixel, 1] + weights[2] * colors[pixel, 2] + 500
+            ) // 1000
+            histogram[value] += 1
+        # Ranks count from one; the subtraction keeps 0.1 * 10 from rounding up to rank 2.
+        low_rank = max(int(np.ceil(trim * count - 1e-9)), 1)
+        high_rank = max(int(np.ceil((1.0 - trim) * count - 1e-9)), 1)
+        low = -1
+        high = -1
+        below = 0
+        for value in range(256):
+            below += histogram[value]
+            histogram[value] = 0
+            if low < 0 and below >= low_rank:
+                low = value
+            if high < 0 and below >= high_rank:
+                high = value
+        ratio = low / high if high > 0 else 1.0
+        ratios[n] = min(ratios[n], ratio)

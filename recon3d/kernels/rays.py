@@ -3,15 +3,15 @@
 from typing import Any
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
-from recon3d.kernels import kernel
+from recon3d.kernels import Part, kernel, span
 from recon3d.kernels.footprints import footprint
 
 
 @kernel(parallel=True)
 def observe(
+    part: Part,
     voxels: NDArray[np.int64],
     origin: NDArray[np.float64],
     size: float,
@@ -23,7 +23,7 @@ def observe(
     seen: NDArray[np.bool_],
 ) -> None:
     """Mean foreground colour of every voxel's footprint (n, n_views, 3), and which views have one."""
-    for n in prange(voxels.shape[0]):
+    for n in span(part, voxels.shape[0]):
         x = origin[0] + voxels[n, 0] * size
         y = origin[1] + voxels[n, 1] * size
         z = origin[2] + voxels[n, 2] * size

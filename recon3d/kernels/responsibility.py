@@ -3,18 +3,17 @@
 from typing import Any
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
-from recon3d.kernels import kernel
+from recon3d.kernels import Part, kernel, span
 from recon3d.kernels.rays import walk
 
 _OPAQUE = 1e-4  # what is seen with less than this is not seen
-_BLOCK = 256  # voxels that share one scratch array
 
 
 @kernel(parallel=True)
 def respond(
+    part: Part,
     voxels: NDArray[np.int64],
     centers: NDArray[np.float64],
     observed: NDArray[np.uint8],
@@ -28,32 +27,31 @@ def respond(
     visible: NDArray[np.float32],
 ) -> None:
     """New opacity (n,) and colour (n, 3) of every voxel, and the light that reaches it in each view (n, n_views)."""
-    for block in prange((voxels.shape[0] + _BLOCK - 1) // _BLOCK):
-        path = np.empty(sum(opacity.shape), np.int64)
-        for n in range(block * _BLOCK, min((block + 1) * _BLOCK, voxels.shape[0])):
-            i, j, k = voxels[n, 0], voxels[n, 1], voxels[n, 2]
-            total = reaching = red = green = blue = 0.0
-            for view in range(centers.shape[0]):
-                visible[n, view] = 0.0
-                if not seen[n, view]:
-                    continue
-                length = walk(centers[view], i, j, k, opacity.shape, True, path)
-                own, onward, visible[n, view] = _shares(
-                    opacity, colors, path[:length], voxels[n], observed[n, view], sigma, unexplained
-                )
-                total += own
-                reaching += onward
-                red += own * observed[n, view, 0]
-                green += own * observed[n, view, 1]
-                blue += own * observed[n, view, 2]
-            # Without a responsibility to speak of nothing is learned.
-            new_opacity[n] = total / reaching if reaching > _OPAQUE else opacity[i, j, k]
-            if total > _OPAQUE:
-                new_colors[n, 0] = red / total
-                new_colors[n, 1] = green / total
-                new_colors[n, 2] = blue / total
-            else:
-                new_colors[n] = colors[i, j, k]
+    path = np.empty(sum(opacity.shape), np.int64)
+    for n in span(part, voxels.shape[0]):
+        i, j, k = voxels[n, 0], voxels[n, 1], voxels[n, 2]
+        total = reaching = red = green = blue = 0.0
+        for view in range(centers.shape[0]):
+            visible[n, view] = 0.0
+            if not seen[n, view]:
+                continue
+            length = walk(centers[view], i, j, k, opacity.shape, True, path)
+            own, onward, visible[n, view] = _shares(
+                opacity, colors, path[:length], voxels[n], observed[n, view], sigma, unexplained
+            )
+            total += own
+            reaching += onward
+            red += own * observed[n, view, 0]
+            green += own * observed[n, view, 1]
+            blue += own * observed[n, view, 2]
+        # Without a responsibility to speak of nothing is learned.
+        new_opacity[n] = total / reaching if reaching > _OPAQUE else opacity[i, j, k]
+        if total > _OPAQUE:
+            new_colors[n, 0] = red / total
+            new_colors[n, 1] = green / total
+            new_colors[n, 2] = blue / total
+        else:
+            new_colors[n] = colors[i, j, k]
 
 
 @kernel()

@@ -1,15 +1,15 @@
 """Signed distance to silhouettes, sampled at voxel centres."""
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
-from recon3d.kernels import kernel
+from recon3d.kernels import Part, kernel, span
 from recon3d.kernels.bricks import BRICK, EMPTY, SOLID, UNDECIDED
 
 
 @kernel(parallel=True)
 def silhouette_distance(
+    part: Part,
     origin: NDArray[np.float64],
     size: float,
     projections: NDArray[np.float64],
@@ -25,8 +25,8 @@ def silhouette_distance(
     Views that do not show the centre do not count; with fewer views than the rank field keeps its value.
     """
     nx, ny, nz = field.shape
-    for i in prange(nx):
-        smallest = np.empty(tolerance + 1, np.float64)
+    smallest = np.empty(tolerance + 1, np.float64)
+    for i in span(part, nx):
         for j in range(ny):
             for k in range(nz):
                 x = origin[0] + (i + 0.5) * size
@@ -83,6 +83,7 @@ def bilinear(image: NDArray[np.float32], u: float, v: float, width: int, height:
 
 @kernel(parallel=True)
 def bound_bricks(
+    part: Part,
     shape: NDArray[np.int64],
     origin: NDArray[np.float64],
     size: float,
@@ -101,7 +102,7 @@ def bound_bricks(
     their side of the outline, they differ by a little more: far less than the limit, three voxels.
     """
     limit = limit * (1 + 1e-6)
-    for column in prange(slots.shape[0] * slots.shape[1]):
+    for column in span(part, slots.shape[0] * slots.shape[1]):
         for bk in range(slots.shape[2]):
             bi, bj = column // slots.shape[1], column % slots.shape[1]
             whole_brick = max(bi + 1 - shape[0] / BRICK, bj + 1 - shape[1] / BRICK, bk + 1 - shape[2] / BRICK) <= 0
@@ -154,6 +155,7 @@ def bound_bricks(
 
 @kernel(parallel=True)
 def sample_bricks(
+    part: Part,
     bricks: NDArray[np.int64],
     shape: NDArray[np.int64],
     origin: NDArray[np.float64],
@@ -172,8 +174,8 @@ def sample_bricks(
     A field of no bricks asks for the kinds alone: EMPTY or SOLID where the whole brick is at the limit, else UNDECIDED.
     """
     limit32 = np.float32(limit)
-    for n in prange(bricks.shape[0]):
-        smallest = np.empty(tolerance + 1, np.float64)
+    smallest = np.empty(tolerance + 1, np.float64)
+    for n in span(part, bricks.shape[0]):
         n_in = n_out = 0
         for local in range(BRICK**3):
             a, b, c = local // BRICK**2, local // BRICK % BRICK, local % BRICK

@@ -6,10 +6,9 @@ Sweep 2 a goes up axis a, sweep 2 a + 1 down; layers are numbered from the side 
 from typing import Any
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
-from recon3d.kernels import kernel
+from recon3d.kernels import Part, kernel, span
 from recon3d.kernels.footprints import footprint
 
 
@@ -23,6 +22,7 @@ def _layer(voxels: NDArray[np.int64], n: int, shape: NDArray[np.int64], sweep: i
 
 @kernel(parallel=True)
 def visible_pixels(
+    part: Part,
     voxels: NDArray[np.int64],
     shape: NDArray[np.int64],
     origin: NDArray[np.float64],
@@ -43,7 +43,7 @@ def visible_pixels(
 
     A pixel shows the voxel unless a layer before the voxel's has claimed it. Views that are not asked show nothing.
     """
-    for n in prange(voxels.shape[0]):
+    for n in span(part, voxels.shape[0]):
         x = origin[0] + voxels[n, 0] * size
         y = origin[1] + voxels[n, 1] * size
         z = origin[2] + voxels[n, 2] * size
@@ -74,6 +74,7 @@ def visible_pixels(
 
 @kernel(parallel=True)
 def gather_visible(
+    part: Part,
     voxels: NDArray[np.int64],
     shape: NDArray[np.int64],
     boxes: NDArray[np.int32],
@@ -85,7 +86,7 @@ def gather_visible(
     colors: NDArray[np.uint8],
 ) -> None:
     """Copy the visible pixels of all footprints into one ragged array, voxel by voxel, view by view."""
-    for n in prange(boxes.shape[0]):
+    for n in span(part, boxes.shape[0]):
         for view in range(boxes.shape[1]):
             target = view_starts[n, view]
             if target == view_starts[n, view + 1]:
@@ -105,6 +106,7 @@ def gather_visible(
 
 @kernel(parallel=True)
 def claim(
+    part: Part,
     boxes: NDArray[np.int32],
     kept: NDArray[np.int64],
     sweep: int,
@@ -114,7 +116,7 @@ def claim(
     claimed: NDArray[np.int32],
 ) -> None:
     """Let the kept voxels of a layer claim those pixels of the sweep in their footprints that are still free."""
-    for view in prange(boxes.shape[1]):
+    for view in span(part, boxes.shape[1]):
         if layer < first_layers[view, sweep]:
             continue
         for n in kept:

@@ -1,17 +1,15 @@
 """Which views a vertex faces, and the colour that they agree on."""
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
-from recon3d.kernels import kernel
+from recon3d.kernels import Part, kernel, span
 from recon3d.kernels.silhouettes import bilinear
-
-_BLOCK = 256  # vertices that share one scratch array
 
 
 @kernel(parallel=True)
 def facing_views(
+    part: Part,
     points: NDArray[np.float64],
     normals: NDArray[np.float64],
     projections: NDArray[np.float64],
@@ -20,7 +18,7 @@ def facing_views(
     facing: NDArray[np.bool_],
 ) -> None:
     """Whether points (n, 3) lie in front of a camera, inside its image, and their normals towards it (n_views, n)."""
-    for n in prange(len(points)):
+    for n in span(part, len(points)):
         for view in range(len(centers)):
             u, v, depth = _project(projections[view], points[n])
             along = 0.0
@@ -32,6 +30,7 @@ def facing_views(
 
 @kernel(parallel=True)
 def agreed_colors(
+    part: Part,
     points: NDArray[np.float64],
     normals: NDArray[np.float64],
     seen: NDArray[np.bool_],
@@ -49,32 +48,32 @@ def agreed_colors(
     area gets. Points that no pixel with any trust shows keep their colour.
     """
     n_points, n_views = len(points), len(images)
-    for block in prange((n_points + _BLOCK - 1) // _BLOCK):
-        values = np.empty((3, n_views), np.float64)
-        weights = np.empty(n_views, np.float64)
-        sorted_weights = np.empty(n_views, np.float64)
-        for n in range(block * _BLOCK, min((block + 1) * _BLOCK, n_points)):
-            count = 0
-            for view in range(n_views):
-                if not seen[view, n]:
-                    continue
-                u, v, depth = _project(projections[view], points[n])
-                trusted = trust[view, int(v + 0.5), int(u + 0.5)]
-                if trusted <= 0:
-                    continue
-                along = square = 0.0
-                for axis in range(3):
-                    sight = centers[view, axis] - points[n, axis]
-                    along += sight * normals[n, axis]
-                    square += sight * sight
-                weights[count] = trusted * along / np.sqrt(square) * (focals[view] / depth) ** 2
-                for channel in range(3):
-                    values[channel, count] = bilinear(images[view, :, :, channel], u, v, sizes[view, 0], sizes[view, 1])
-                count += 1
-            if count > 0:
-                for channel in range(3):
-                    sorted_weights[:count] = weights[:count]
-                    colors[n, channel] = weighted_median(values[channel, :count], sorted_weights[:count])
+    values = np.empty((3, n_views), np.float64)
+    weights = np.empty(n_views, np.float64)
+    sorted_weights = np.empty(n_views, np.float64)
+    for n in span(part, n_points):
+        count = 0
+        for view in range(n_views):
+            if not seen[view, n]:
+                continue
+            u, v, depth = _project(projections[view], points[n])
+            trusted = trust[view, int(v + 0.5), int(u + 0.5)]
+            if trusted <= 0:
+                continue
+            along = square = 0.0
+            for axis in range(3):
+                sight = centers[view, axis] - points[n, axis]
+                along += sight * normals[n, axis]
+                square += sight * sight
+            weights[count] = trusted * along / np.sqrt(square) * (focals[view] / depth) ** 2
+            for channel in range(3):
+                values[channel, count] = bilinear(images[view, :, :, channel], u, v, sizes[view, 0], sizes[view, 1])
+            count += 1
+        if count > 0:
+            for channel in range(3):
+                for k in range(count):
+                    sorted_weights[k] = weights[k]
+                colors[n, channel] = weighted_median(values[channel, :count], sorted_weights[:count])
 
 
 @kernel()

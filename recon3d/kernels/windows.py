@@ -1,14 +1,14 @@
 """Small windows of the views, resampled on a plane through each voxel."""
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
-from recon3d.kernels import kernel
+from recon3d.kernels import Part, kernel, span
 
 
 @kernel(parallel=True)
 def sample_windows(
+    part: Part,
     centers: NDArray[np.float64],
     voxel_size: float,
     counts: NDArray[np.int64],
@@ -27,7 +27,7 @@ def sample_windows(
     """
     n_views = counts.shape[1]
     half = 0.5 * (side - 1)
-    for n in prange(centers.shape[0]):
+    for n in span(part, centers.shape[0]):
         windows[n] = np.nan
         normal = np.zeros(3)
         spacing = 0.0
