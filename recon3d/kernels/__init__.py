@@ -8,6 +8,7 @@ from typing import Any
 
 import numba
 
+from recon3d.kernels.compiled import CodeFiles
 from recon3d.kernels.parts import Part, in_parts
 
 # Open3D loads an older TBB than numba asks for; naming the others first keeps numba from warning about it.
@@ -17,7 +18,7 @@ __all__ = ["Part", "kernel", "span"]
 
 
 def kernel(*, parallel: bool = False) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Compile to machine code that is cached on disk and releases the interpreter lock.
+    """Compile to machine code that is kept on disk and releases the interpreter lock.
 
     A parallel kernel takes a ``Part`` of the work before the arguments that its callers give, and its outermost loop
     runs over the ``span`` of that part. It is called once for each of several parts, from as many threads as
@@ -25,7 +26,8 @@ def kernel(*, parallel: bool = False) -> Callable[[Callable[..., Any]], Callable
     """
 
     def compile_kernel(function: Callable[..., Any]) -> Callable[..., Any]:
-        compiled = numba.njit(cache=True, nogil=True, error_model="numpy")(function)
+        compiled = numba.njit(nogil=True, error_model="numpy")(function)
+        compiled._cache = CodeFiles(function)
         return in_parts(compiled) if parallel else compiled
 
     return compile_kernel
