@@ -4,7 +4,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recon3d.kernels import Part, kernel, span
-from recon3d.kernels.silhouettes import bilinear
 
 
 @kernel(parallel=True)
@@ -33,24 +32,24 @@ def best_depths(
     The score of a depth is the mean of the two best correlations; scores is -1 where there is none.
     """
     n_others = others.shape[0]
-    side = 2 * (radius // stride) + 1
-    reach = stride * (radius // stride)
-    count = side * side
-    window = np.empty(count)
+    half = radius // stride
+    reach = stride * half
+    count = (2 * half + 1) ** 2
+    window = np.empty(count, np.float32)
     for n in span(part, pixels.shape[0]):
         scores[n] = -1.0
         u = pixels[n, 0]
         v = pixels[n, 1]
         if u < reach or v < reach or u >= width - reach or v >= height - reach:
             continue
-        mean = 0.0
+        mean = np.float32(0.0)
         at = 0
         for dv in range(-reach, reach + 1, stride):
             for du in range(-reach, reach + 1, stride):
                 window[at] = image[v + dv, u + du]
                 mean += window[at]
                 at += 1
-        mean /= count
+        mean /= np.float32(count)
         power = 0.0
         for at in range(count):
             window[at] -= mean
@@ -67,7 +66,7 @@ def best_depths(
             first = -1.0
             second = -1.0
             for j in range(n_others):
-                ncc = _correlation(window, power, u, v, z, reach, stride, homographies[j], epipoles[j], others[j],
+                ncc = _correlation(window, mean, power, u, v, z, half, stride, homographies[j], epipoles[j], others[j],
                                    other_sizes[j, 0], other_sizes[j, 1])  # fmt: skip
                 if ncc > first:
                     second = first
@@ -93,12 +92,13 @@ def best_depths(
 
 @kernel()
 def _correlation(
-    window: NDArray[np.float64],
+    window: NDArray[np.float32],
+    level: np.float32,
     power: float,
     u: int,
     v: int,
     z: float,
-    reach: int,
+    half: int,
     stride: int,
     H: NDArray[np.float64],
     e: NDArray[np.float64],
@@ -106,32 +106,46 @@ def _correlation(
     width: int,
     height: int,
 ) -> float:
-    """Correlation of a centred window with its image in another view; -1 where that leaves the image."""
-    total = 0.0
-    square = 0.0
-    product = 0.0
+    """Correlation of a centred window with its image in another view; -1 where that leaves the image.
+
+    Within a window the homography is as good as its affine part, which needs no division a sample. The level, grey
+    values near the other window's, keeps sums of squares small.
+    """
+    w = z * (H[2, 0] * u + H[2, 1] * v + H[2, 2]) + e[2]
+    if w <= 0.0:
+        return -1.0
+    x = (z * (H[0, 0] * u + H[0, 1] * v + H[0, 2]) + e[0]) / w
+    y = (z * (H[1, 0] * u + H[1, 1] * v + H[1, 2]) + e[1]) / w
+    scale = z * stride / w
+    xu = (H[0, 0] - x * H[2, 0]) * scale
+    xv = (H[0, 1] - x * H[2, 1]) * scale
+    yu = (H[1, 0] - y * H[2, 0]) * scale
+    yv = (H[1, 1] - y * H[2, 1]) * scale
+    wide = half * (abs(xu) + abs(xv)) + 1e-3
+    high = half * (abs(yu) + abs(yv)) + 1e-3
+    if not (x >= wide and y >= high and x + wide < width - 1.0 and y + high < height - 1.0):
+        return -1.0
+    total = np.float32(0.0)
+    square = np.float32(0.0)
+    product = np.float32(0.0)
     at = 0
-    for dv in range(-reach, reach + 1, stride):
-        # Homogeneous place of the row's first sample; it moves by a constant from sample to sample.
-        x = z * (H[0, 0] * (u - reach) + H[0, 1] * (v + dv) + H[0, 2]) + e[0]
-        y = z * (H[1, 0] * (u - reach) + H[1, 1] * (v + dv) + H[1, 2]) + e[1]
-        w = z * (H[2, 0] * (u - reach) + H[2, 1] * (v + dv) + H[2, 2]) + e[2]
-        for _ in range(-reach, reach + 1, stride):
-            if w <= 0.0:
-                return -1.0
-            inverse = 1.0 / w
-            a = x * inverse
-            b = y * inverse
-            if not (a >= 0.0 and b >= 0.0 and a <= width - 1.0 and b <= height - 1.0):
-                return -1.0
-            value = bilinear(other, a, b, width, height)
+    for dv in range(-half, half + 1):
+        a = x + dv * xv - half * xu
+        b = y + dv * yv - half * yu
+        for _ in range(2 * half + 1):
+            column = int(a)
+            row = int(b)
+            s = np.float32(a - column)
+            t = np.float32(b - row)
+            top = other[row, column] + s * (other[row, column + 1] - other[row, column])
+            bottom = other[row + 1, column] + s * (other[row + 1, column + 1] - other[row + 1, column])
+            value = top + t * (bottom - top) - level
             total += value
             square += value * value
             product += value * window[at]
             at += 1
-            x += z * stride * H[0, 0]
-            y += z * stride * H[1, 0]
-            w += z * stride * H[2, 0]
+            a += xu
+            b += yu
     variance = square - total * total / at
     if variance < 1e-6 * at:
         return -1.0
