@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recon3d.kernels import Part, kernel, span
+from recon3d.kernels.cameras import project
 
 
 @kernel(parallel=True)
@@ -179,12 +180,11 @@ def fuse_depths(
         total = 0.0
         weight = 0.0
         for view in range(n_views):
-            P = projections[view]
-            depth = P[2, 0] * x + P[2, 1] * y + P[2, 2] * z + P[2, 3]
+            u, v, depth = project(projections[view], x, y, z)
             if depth <= 0.0:
                 continue
-            column = int(np.floor((P[0, 0] * x + P[0, 1] * y + P[0, 2] * z + P[0, 3]) / depth / stride + 0.5))
-            row = int(np.floor((P[1, 0] * x + P[1, 1] * y + P[1, 2] * z + P[1, 3]) / depth / stride + 0.5))
+            column = int(np.floor(u / stride + 0.5))
+            row = int(np.floor(v / stride + 0.5))
             if row < 0 or column < 0 or row >= rows or column >= columns or weights[view, row, column] <= 0.0:
                 continue
             behind = depth - depth_maps[view, row, column]
@@ -228,11 +228,10 @@ def count_agreements(
             y = centers[view, 1] + z * (M[1, 0] * u + M[1, 1] * v + M[1, 2])
             w = centers[view, 2] + z * (M[2, 0] * u + M[2, 1] * v + M[2, 2])
             for other in range(n_views):
-                P = projections[other]
-                depth = P[2, 0] * x + P[2, 1] * y + P[2, 2] * w + P[2, 3]
+                a, b, depth = project(projections[other], x, y, w)
                 if other == view or depth <= 0.0:
                     continue
-                c = int(np.floor((P[0, 0] * x + P[0, 1] * y + P[0, 2] * w + P[0, 3]) / depth / stride + 0.5))
-                r = int(np.floor((P[1, 0] * x + P[1, 1] * y + P[1, 2] * w + P[1, 3]) / depth / stride + 0.5))
+                c = int(np.floor(a / stride + 0.5))
+                r = int(np.floor(b / stride + 0.5))
                 if 0 <= r < rows and 0 <= c < columns and abs(depth_maps[other, r, c] - depth) <= tolerance:
                     counts[view, row, column] += 1

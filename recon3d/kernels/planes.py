@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recon3d.kernels import Part, kernel, span
+from recon3d.kernels.cameras import project
 
 NOTHING = 2.0
 """Cost where no window can be compared; 1 - NCC is at most that."""
@@ -53,12 +54,11 @@ def find_visible(
                 facing = n[0] * a + n[1] * b + n[2] * c
                 if facing < min_cosine * np.sqrt(a * a + b * b + c * c):
                     continue
-                P = projections[j]
-                far = P[2, 0] * x + P[2, 1] * y + P[2, 2] * z + P[2, 3]
+                p, q, far = project(projections[j], x, y, z)
                 if far <= 0.0:
                     continue
-                s = int(np.floor((P[0, 0] * x + P[0, 1] * y + P[0, 2] * z + P[0, 3]) / far + 0.5))
-                t = int(np.floor((P[1, 0] * x + P[1, 1] * y + P[1, 2] * z + P[1, 3]) / far + 0.5))
+                s = int(np.floor(p + 0.5))
+                t = int(np.floor(q + 0.5))
                 if s < 1 or t < 1 or s >= sizes[j, 0] - 1 or t >= sizes[j, 1] - 1:
                     continue
                 seen = False
@@ -353,12 +353,9 @@ def average_planes(
                 mean_normals[view, row, column, axis] = own * n[axis]
                 colors[view, row, column, axis] = own * images[view, v, u, axis]
             for other in range(n_views):
-                P = projections[other]
-                depth = P[2, 0] * x + P[2, 1] * y + P[2, 2] * z + P[2, 3]
+                a, b, depth = project(projections[other], x, y, z)
                 if other == view or depth <= 0.0:
                     continue
-                a = (P[0, 0] * x + P[0, 1] * y + P[0, 2] * z + P[0, 3]) / depth
-                b = (P[1, 0] * x + P[1, 1] * y + P[1, 2] * z + P[1, 3]) / depth
                 c = int(np.floor(a / stride + 0.5))
                 r = int(np.floor(b / stride + 0.5))
                 if r < 0 or c < 0 or r >= rows or c >= columns or weights[other, r, c] <= 0.0:

@@ -5,6 +5,7 @@ from numpy.typing import NDArray
 
 from recon3d.kernels import Part, kernel, span
 from recon3d.kernels.bricks import BRICK, EMPTY, SOLID, UNDECIDED
+from recon3d.kernels.cameras import bilinear, project
 
 
 @kernel(parallel=True)
@@ -51,12 +52,9 @@ def distance_at(
     """The len(smallest)-th smallest signed distance over the views that show a point; infinite with fewer views."""
     smallest[:] = np.inf
     for view in range(projections.shape[0]):
-        P = projections[view]
-        depth = P[2, 0] * x + P[2, 1] * y + P[2, 2] * z + P[2, 3]
+        u, v, depth = project(projections[view], x, y, z)
         if depth <= 0.0:
             continue
-        u = (P[0, 0] * x + P[0, 1] * y + P[0, 2] * z + P[0, 3]) / depth
-        v = (P[1, 0] * x + P[1, 1] * y + P[1, 2] * z + P[1, 3]) / depth
         width, height = image_sizes[view, 0], image_sizes[view, 1]
         if not (u >= -0.5 and v >= -0.5 and u < width - 0.5 and v < height - 0.5):
             continue
@@ -65,20 +63,6 @@ def distance_at(
             if value < smallest[rank]:
                 smallest[rank], value = value, smallest[rank]
     return smallest[-1]
-
-
-@kernel()
-def bilinear(image: NDArray[np.float32], u: float, v: float, width: int, height: int) -> float:
-    """Value of an image at a sub-pixel place, the border's value beyond the outermost pixel centres."""
-    u = min(max(u, 0.0), width - 1.0)
-    v = min(max(v, 0.0), height - 1.0)
-    u0 = min(int(u), width - 2)
-    v0 = min(int(v), height - 2)
-    a = u - u0
-    b = v - v0
-    return (1 - b) * ((1 - a) * image[v0, u0] + a * image[v0, u0 + 1]) + b * (
-        (1 - a) * image[v0 + 1, u0] + a * image[v0 + 1, u0 + 1]
-    )
 
 
 @kernel(parallel=True)
@@ -109,7 +93,6 @@ def bound_bricks(
             outside = 0
             doubtful = 0
             for view in range(projections.shape[0]):
-                P = projections[view]
                 u_min = v_min = near = np.inf
                 u_max = v_max = far = -np.inf
                 for corner in range(8):
@@ -120,12 +103,10 @@ def bound_bricks(
                     x = origin[0] + (i + 0.5) * size
                     y = origin[1] + (j + 0.5) * size
                     z = origin[2] + (k + 0.5) * size
-                    depth = P[2, 0] * x + P[2, 1] * y + P[2, 2] * z + P[2, 3]
+                    u, v, depth = project(projections[view], x, y, z)
                     near = min(near, depth)
                     far = max(far, depth)
                     if depth > 0.0:
-                        u = (P[0, 0] * x + P[0, 1] * y + P[0, 2] * z + P[0, 3]) / depth
-                        v = (P[1, 0] * x + P[1, 1] * y + P[1, 2] * z + P[1, 3]) / depth
                         u_min, u_max = min(u_min, u), max(u_max, u)
                         v_min, v_max = min(v_min, v), max(v_max, v)
                 if far <= 0.0:

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recon3d.kernels import Part, kernel, span
-from recon3d.kernels.silhouettes import bilinear
+from recon3d.kernels.cameras import bilinear, project
 
 
 @kernel(parallel=True)
@@ -20,7 +20,7 @@ def facing_views(
     """Whether points (n, 3) lie in front of a camera, inside its image, and their normals towards it (n_views, n)."""
     for n in span(part, len(points)):
         for view in range(len(centers)):
-            u, v, depth = _project(projections[view], points[n])
+            u, v, depth = project(projections[view], points[n, 0], points[n, 1], points[n, 2])
             along = 0.0
             for axis in range(3):
                 along += (centers[view, axis] - points[n, axis]) * normals[n, axis]
@@ -56,7 +56,7 @@ def agreed_colors(
         for view in range(n_views):
             if not seen[view, n]:
                 continue
-            u, v, depth = _project(projections[view], points[n])
+            u, v, depth = project(projections[view], points[n, 0], points[n, 1], points[n, 2])
             trusted = trust[view, int(v + 0.5), int(u + 0.5)]
             if trusted <= 0:
                 continue
@@ -97,12 +97,3 @@ def weighted_median(values: NDArray[np.float64], weights: NDArray[np.float64]) -
             return values[n - 1] + (values[n] - values[n - 1]) * (0.5 * total - below) / step
         below += step
     return values[-1]
-
-
-@kernel()
-def _project(P: NDArray[np.float64], point: NDArray[np.float64]) -> tuple[float, float, float]:
-    """Pixel and depth of a point."""
-    depth = P[2, 0] * point[0] + P[2, 1] * point[1] + P[2, 2] * point[2] + P[2, 3]
-    u = (P[0, 0] * point[0] + P[0, 1] * point[1] + P[0, 2] * point[2] + P[0, 3]) / depth
-    v = (P[1, 0] * point[0] + P[1, 1] * point[1] + P[1, 2] * point[2] + P[1, 3]) / depth
-    return u, v, depth

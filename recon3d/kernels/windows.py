@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recon3d.kernels import Part, kernel, span
+from recon3d.kernels.cameras import luminance, project
 
 
 @kernel(parallel=True)
@@ -62,12 +63,9 @@ def sample_windows(
         for view in range(n_views):
             if counts[n, view] == 0:
                 continue
-            P = projections[view]
             for sample in range(side * side):
                 point = centers[n] + (sample // side - half) * down + (sample % side - half) * across
-                depth = P[2, 0] * point[0] + P[2, 1] * point[1] + P[2, 2] * point[2] + P[2, 3]
-                u = (P[0, 0] * point[0] + P[0, 1] * point[1] + P[0, 2] * point[2] + P[0, 3]) / depth
-                v = (P[1, 0] * point[0] + P[1, 1] * point[1] + P[1, 2] * point[2] + P[1, 3]) / depth
+                u, v, depth = project(projections[view], point[0], point[1], point[2])
                 if not (depth > 0.0 and 0.0 <= u <= sizes[view, 0] - 1 and 0.0 <= v <= sizes[view, 1] - 1):
                     windows[n, view] = np.nan
                     break
@@ -76,8 +74,6 @@ def sample_windows(
                 value = 0.0
                 for corner in range(4):
                     du, dv = corner & 1, corner >> 1
-                    pixel = images[view, v0 + dv, u0 + du]
-                    # ITU-R BT.601
-                    luminance = 0.299 * pixel[0] + 0.587 * pixel[1] + 0.114 * pixel[2]
-                    value += (abs(1 - du - (u - u0))) * (abs(1 - dv - (v - v0))) * luminance
+                    grey = luminance(images[view, v0 + dv, u0 + du])
+                    value += (abs(1 - du - (u - u0))) * (abs(1 - dv - (v - v0))) * grey
                 windows[n, view, sample] = value
