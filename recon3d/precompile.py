@@ -16,8 +16,8 @@ def warm_up(part: int = 0, parts: int = 1) -> None:
 
     scene = recon3d.little_temple(n_views=8, width=160, height=120, supersampling=1).scene
     runs = [
-        recon3d.Settings(n_voxels=20_000, method="vote-carving", quality="carve"),
-        recon3d.Settings(n_voxels=20_000, method="visual-hull", quality="sharp"),
+        recon3d.Settings(n_voxels=20_000, carving=recon3d.VoteCarving(), matching=None),
+        recon3d.Settings(n_voxels=20_000, carving=recon3d.VisualHull(), matching=recon3d.stereo.PASSES),
     ]
     for settings in runs[part::parts]:
         recon3d.reconstruct(scene, settings)
