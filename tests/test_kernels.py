@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scenes import ball_mesh, cameras, photographs
-from scipy.ndimage import generate_binary_structure, label
+from scipy.ndimage import gaussian_filter, generate_binary_structure, label, map_coordinates
 
 from recon3d.carving.hysteresis import neighbour_offsets
 from recon3d.kernels.footprints import carve_background, footprint, free_pixels, gather, mark
 from recon3d.kernels.lattice import grow_consistent
+from recon3d.kernels.matching import best_depths
 from recon3d.kernels.ragged import decile_ratios, mean_colors
 from recon3d.scene.view import View
 from recon3d.volume.dense import CarvingVolume
@@ -215,3 +216,43 @@ def test_pixels_are_counted_gathered_and_marked_as_slices_would() -> None:
             expected[view, v0 : v1 + 1, u0 : u1 + 1] = False
     mark(boxes, accepted, free)
     np.testing.assert_array_equal(free, expected)
+
+
+@pytest.mark.parametrize(("radius", "stride"), [(2, 1), (4, 2)])
+def test_best_depths_are_those_of_the_largest_correlation_by_the_exact_homography(radius: int, stride: int) -> None:
+    rng = np.random.default_rng(radius)
+    image = gaussian_filter(rng.random((60, 80)), 2).astype(np.float32) * 2000
+    # Tilted as by some tens of degrees between cameras of a few hundred pixels' focal length.
+    homographies = np.array([[[1, 0.02, -1], [0.01, 1, 0], [5e-4, 0, 1]], [[0.98, 0, 1], [0, 1, 0.5], [0, -4e-4, 1]]])
+    epipoles, truth = np.array([[8.0, 1, 0.01], [-1, 9, 0]]), 2.0
+    # Other views show what the image does at the true depth.
+    v, u = np.mgrid[:60, :80]
+    others = []
+    for H, e in zip(homographies, epipoles, strict=True):
+        back = np.linalg.inv(H + np.outer(e, [0, 0, 1]) / truth)
+        x, y, w = np.einsum("ij,jrc->irc", back, np.stack([u, v, np.ones_like(u)]))
+        others.append(map_coordinates(image, [y / w, x / w], order=1, mode="nearest").astype(np.float32))
+    pixels = np.array([[u, v] for u in range(20, 56, 5) for v in range(20, 40, 4)])
+    depths, scores = np.zeros(len(pixels)), np.full(len(pixels), -1.0)
+    nearest = np.full(len(pixels), 1.5)
+    best_depths(
+        image, 80, 60, np.stack(others), np.array([[80, 60]] * 2), homographies, epipoles, pixels, nearest,
+        nearest + 1, 0.05, radius, stride, 1.0, depths, scores,
+    )  # fmt: skip
+
+    def correlation(pixel: NDArray[np.int64], z: float) -> float:
+        dv, du = np.mgrid[-radius : radius + 1 : stride, -radius : radius + 1 : stride]
+        u, v = pixel[0] + du.ravel(), pixel[1] + dv.ravel()
+        correlations = []
+        for H, e, other in zip(homographies, epipoles, others, strict=True):
+            x, y, w = z * H @ np.stack([u, v, np.ones(len(u))]) + e[:, None]
+            seen = map_coordinates(other, [y / w, x / w], order=1)
+            correlations.append(np.corrcoef(image[v, u], seen)[0, 1])
+        return float(np.mean(correlations))
+
+    tried = 1.5 + 0.05 * np.arange(21)
+    for pixel, depth, score in zip(pixels, depths, scores, strict=True):
+        expected = [correlation(pixel, z) for z in tried]
+        assert score == pytest.approx(max(expected), abs=2e-3)
+        assert abs(depth - tried[np.argmax(expected)]) <= 0.0501
+    assert np.median(np.abs(depths - truth)) < 0.02

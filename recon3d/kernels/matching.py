@@ -134,12 +134,15 @@ def _correlation(
         a = x + dv * xv - half * xu
         b = y + dv * yv - half * yu
         for _ in range(2 * half + 1):
-            column = int(a)
-            row = int(b)
-            s = np.float32(a - column)
-            t = np.float32(b - row)
-            top = other[row, column] + s * (other[row, column + 1] - other[row, column])
-            bottom = other[row + 1, column] + s * (other[row + 1, column + 1] - other[row + 1, column])
+            left = int(a)
+            above = int(b)
+            s = np.float32(a - left)
+            t = np.float32(b - above)
+            # Of a signed index numba asks whether it counts from the end.
+            column, row = np.uint64(left), np.uint64(above)
+            right, below = np.uint64(left + 1), np.uint64(above + 1)
+            top = other[row, column] + s * (other[row, right] - other[row, column])
+            bottom = other[below, column] + s * (other[below, right] - other[below, column])
             value = top + t * (bottom - top) - level
             total += value
             square += value * value
