@@ -55,7 +55,7 @@ from .io import (
     write_middlebury,
 )
 from .pipeline import reconstruct
-from .rendering import Renderer, Rendering, comparison_sheet, turntable
+from .rendering import Renderer, Rendering, comparison_sheet, render, turntable
 from .reporting import error_map, plot_evaluation, save, save_error_maps, save_evaluation, save_pictures, show_mesh
 from .result import Reconstruction
 from .scene import (
@@ -78,6 +78,7 @@ from .surface import (
     VertexVisibility,
     color,
     graph_cut,
+    mesh,
     mesh_points,
     mesh_sparse,
     mesh_volume,
@@ -155,6 +156,7 @@ __all__ = [
     "little_temple",
     "load_test",
     "measure_quality",
+    "mesh",
     "mesh_points",
     "mesh_sparse",
     "mesh_volume",
@@ -165,6 +167,7 @@ __all__ = [
     "read_support",
     "reconstruct",
     "refine",
+    "render",
     "repair_mesh",
     "save",
     "save_error_maps",

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor
 from contextlib import contextmanager
-from dataclasses import fields
+from dataclasses import fields, replace
 from functools import partial
 from time import perf_counter
+from typing import NamedTuple
 
 import numpy as np
 import open3d as o3d
@@ -25,8 +26,8 @@ from recon3d.result import Reconstruction
 from recon3d.scene.scene import Scene
 from recon3d.settings import Settings, choose_views
 from recon3d.stereo.refinement import refine
-from recon3d.surface.extraction import mesh_shape, mesh_sparse, surface_points
-from recon3d.surface.poisson import MeasuredSpace, mesh_points
+from recon3d.surface.extraction import surface_points
+from recon3d.surface.meshing import Meshed, mesh
 from recon3d.surface.repair import Repairs, repair_mesh
 from recon3d.surface.vertex_colors import color
 from recon3d.surface.visibility import VertexVisibility
@@ -36,7 +37,7 @@ from recon3d.volume.carved import Carved, CarvedVolume
 from recon3d.volume.lattice import Lattice
 from recon3d.volume.sparse import SparseVolume
 
-_SPACING = 1.5  # of a sharp surface's finest detail, pixel footprints
+_SPACING = 1.5  # of the matched points, pixel footprints
 
 
 Progress = Callable[[str, int, int], None]
@@ -68,95 +69,120 @@ def reconstruct(
     EmptyReconstructionError : nothing was left.
     """
     settings = (settings or Settings()).resolved(scene)
-    report = progress or (lambda _stage, _done, _total: None)
-    timings: dict[str, float] = {}
-
-    with _timed(timings, "views"):
+    run = _Run(progress)
+    with run.step("views"):
         scene = choose_views(scene, settings)
-    with _timed(timings, "carving"):
-        lattice = settings.lattice(scene)
-        hull = kept_carving(
-            scene, lattice, settings, checkpoints, progress=lambda done, total: report("carving", done, total)
-        )
-    sharp, passes, meshing = None, settings.passes_for(scene), settings.meshing
+    with run.step("carving") as done:
+        carved = kept_carving(scene, settings.lattice(scene), settings, checkpoints, progress=done)
+    points, passes, meshing = None, settings.passes_for(scene), settings.meshing
     if passes:
-        with _timed(timings, "matching"):
-            sharp, hull = refine(
-                scene, hull.dense(), passes=passes, checkpoints=checkpoints, executor=executor,
-                progress=lambda done, total: report("matching", done, total),
-            )  # fmt: skip
-    with _timed(timings, "surface"):
-        report("surface", 0, 3)
-        min_area = meshing.min_component * lattice.voxel_size**2
-        if sharp:
-            spacing = _SPACING * scene.pixel_footprint
-            measured = MeasuredSpace(sharp, spacing)
-            mesh = mesh_points(sharp, hull.dense(), surface=meshing.surface, spacing=spacing, measured=measured)
-        else:
-            mesh = _carved_mesh(hull, settings)
-        mesh, repairs, _ = repair_mesh(mesh, min_area=min_area)
-        report("surface", 1, 3)
-        caster = RayCaster(mesh)
-        visibility = VertexVisibility.of(mesh, scene, caster)
-        support = visibility.n_views
-        if sharp:
-            support[~measured.holds(np.asarray(mesh.vertices))] = 0
+        with run.step("matching") as done:
+            points, carved = refine(
+                scene, carved.dense(), passes=passes, checkpoints=checkpoints, executor=executor, progress=done
+            )
+    with run.step("surface") as done:
+        done(0, 3)
+        one_sided = settings.method_for(scene).one_sided
+        meshed = mesh(carved, points, meshing, spacing=_SPACING * scene.pixel_footprint, one_sided=one_sided)
+        done(1, 3)
+        seen = _seen(scene, meshed)
         if not meshing.keep_unsupported:
-            mesh, visibility, support, repairs = _supported(scene, mesh, visibility, support, repairs, min_area)
-        report("surface", 2, 3)
-        mesh = color(mesh, scene, visibility=visibility, caster=caster)
-        points = sharp.to_legacy() if sharp else _voxel_points(hull, mesh)
-        confidence = sharp.point.confidence.numpy().ravel() if sharp else None
-        report("surface", 3, 3)
-    with _timed(timings, "quality"):
-        report("quality", 0, 1)
-        quality = measure_quality(mesh, scene, caster=caster if meshing.keep_unsupported else None)
-        report("quality", 1, 1)
-    evaluation = None
-    if ground_truth is not None:
-        with _timed(timings, "evaluation"):
-            report("evaluation", 0, 1)
-            evaluation = evaluate(mesh, ground_truth, mm_per_unit=scene.mm_per_unit)
-            report("evaluation", 1, 1)
-    return Reconstruction(
-        scene, settings, hull, points, confidence, mesh, support, repairs, timings, quality, evaluation
+            seen = _supported(scene, seen, meshing.min_component * carved.lattice.voxel_size**2)
+        done(2, 3)
+        colored = color(seen.mesh, scene, visibility=seen.visibility, caster=seen.caster)
+        done(3, 3)
+    with run.step("quality") as done:
+        done(0, 1)
+        quality = measure_quality(colored, scene, caster=seen.caster if meshing.keep_unsupported else None)
+        done(1, 1)
+    result = Reconstruction(
+        scene,
+        settings,
+        carved,
+        _voxel_points(carved, colored) if points is None else points.to_legacy(),
+        None if points is None else points.point.confidence.numpy().ravel(),
+        colored,
+        seen.support,
+        seen.repairs,
+        run.timings,
+        quality,
     )
+    if ground_truth is None:
+        return result
+    with run.step("evaluation") as done:
+        done(0, 1)
+        result = _evaluated(result, ground_truth)
+        done(1, 1)
+    return result
 
 
-def _supported(
-    scene: Scene,
-    mesh: o3d.geometry.TriangleMesh,
-    visibility: VertexVisibility,
-    support: NDArray[np.int64],
-    repairs: Repairs,
-    min_area: float,
-) -> tuple[o3d.geometry.TriangleMesh, VertexVisibility, NDArray[np.int64], Repairs]:
-    """The part of a mesh that is supported, and what is known of it."""
-    supported = support > 0
-    if not supported[np.asarray(mesh.triangles)].all(axis=1).any():
+class _Run:
+    """Times the steps of a run, and reports their progress."""
+
+    def __init__(self, progress: Progress | None) -> None:
+        self._progress = progress
+        self.timings: dict[str, float] = {}
+
+    @contextmanager
+    def step(self, name: str) -> Iterator[StepProgress]:
+        """Note how many seconds a block takes; yields what it reports its progress to."""
+        start = perf_counter()
+        yield partial(self._progress, name) if self._progress else _ignored
+        self.timings[name] = round(perf_counter() - start, 3)
+
+
+def _ignored(_done: int, _total: int) -> None:
+    """Progress that nobody asked for."""
+
+
+class _Seen(NamedTuple):
+    """A mesh with what the views see of it."""
+
+    mesh: o3d.geometry.TriangleMesh
+    visibility: VertexVisibility
+    support: NDArray[np.int64]
+    """(n_vertices,) views that see what was measured; 0: not measured."""
+    repairs: Repairs
+    caster: RayCaster
+    """Of what hides the mesh."""
+
+
+def _seen(scene: Scene, meshed: Meshed) -> _Seen:
+    """Find what the views see of a mesh, once for support, cutting and colours."""
+    caster = RayCaster(meshed.mesh)
+    visibility = VertexVisibility.of(meshed.mesh, scene, caster)
+    return _Seen(meshed.mesh, visibility, np.where(meshed.measured, visibility.n_views, 0), meshed.repairs, caster)
+
+
+def _supported(scene: Scene, seen: _Seen, min_area: float) -> _Seen:
+    """The part of a mesh that is supported; the rest still hides it."""
+    supported = seen.support > 0
+    if not supported[np.asarray(seen.mesh.triangles)].all(axis=1).any():
         raise EmptyReconstructionError(f"scene {scene.name}: nothing was measured of any of the surface")
-    part, more, source = repair_mesh(mesh, kept=supported, min_area=min_area)
-    return part, visibility.of_vertices(source), support[source], repairs + more
+    part, repairs, source = repair_mesh(seen.mesh, kept=supported, min_area=min_area)
+    return _Seen(part, seen.visibility.of_vertices(source), seen.support[source], seen.repairs + repairs, seen.caster)
 
 
-def _carved_mesh(hull: Carved, settings: Settings) -> o3d.geometry.TriangleMesh:
-    """Mesh of the accepted voxels, or of all that is solid."""
-    smoothing = 5 if settings.meshing.smoothing is None else settings.meshing.smoothing
-    if isinstance(hull, SparseVolume):
-        return mesh_sparse(hull, smoothing=smoothing)
-    hull = hull.dense()
-    shell = settings.carving is not None and settings.carving.one_sided and not settings.meshing.fill_hidden
-    return mesh_shape(hull.volume if shell else hull.with_interior, distance=hull.distance, smoothing=smoothing)
+def _evaluated(result: Reconstruction, ground_truth: o3d.geometry.TriangleMesh) -> Reconstruction:
+    """The result with the distances of its mesh, and of the part that was measured, to a ground truth."""
+    whole = evaluate(result.mesh, ground_truth, mm_per_unit=result.scene.mm_per_unit)
+    supported = result.supported_mesh()
+    if not supported.has_triangles():
+        return replace(result, evaluation=whole)
+    if len(supported.triangles) == len(result.mesh.triangles):
+        return replace(result, evaluation=whole, supported_evaluation=whole)
+    part = evaluate(supported, ground_truth, mm_per_unit=result.scene.mm_per_unit)
+    return replace(result, evaluation=whole, supported_evaluation=part)
 
 
-def _voxel_points(hull: Carved, mesh: o3d.geometry.TriangleMesh) -> o3d.geometry.PointCloud:
+def _voxel_points(carved: Carved, colored: o3d.geometry.TriangleMesh) -> o3d.geometry.PointCloud:
     """Coloured centres of the visible voxels, with unit normals outwards; of a sparse volume those of the mesh."""
-    if not isinstance(hull, SparseVolume):
-        return surface_points(hull.dense().volume, solid=hull.dense().with_interior)
-    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(hull.centers(hull.visible)))
-    cloud.colors = o3d.utility.Vector3dVector(hull.colors[hull.visible] / 255.0)
-    _, nearest = cKDTree(np.asarray(mesh.vertices)).query(np.asarray(cloud.points), workers=-1)
-    cloud.normals = o3d.utility.Vector3dVector(np.asarray(mesh.vertex_normals)[nearest])
+    if not isinstance(carved, SparseVolume):
+        return surface_points(carved.dense().volume, solid=carved.dense().with_interior)
+    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(carved.centers(carved.visible)))
+    cloud.colors = o3d.utility.Vector3dVector(carved.colors[carved.visible] / 255.0)
+    _, nearest = cKDTree(np.asarray(colored.vertices)).query(np.asarray(cloud.points), workers=-1)
+    cloud.normals = o3d.utility.Vector3dVector(np.asarray(colored.vertex_normals)[nearest])
     return cloud
 
 
@@ -187,11 +213,3 @@ def _content(method: Method) -> dict[str, object] | None:
     options = {option.name: getattr(method, option.name) for option in fields(method)}
     tests = {name: identity(value) for name, value in options.items() if callable(value)}
     return None if None in tests.values() else {"method": type(method).__qualname__, **options, **tests}
-
-
-@contextmanager
-def _timed(timings: dict[str, float], name: str) -> Iterator[None]:
-    """Note how many seconds a block took."""
-    start = perf_counter()
-    yield
-    timings[name] = round(perf_counter() - start, 3)

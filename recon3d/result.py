@@ -20,6 +20,7 @@ from recon3d.scene.scene import Scene
 from recon3d.settings import Settings
 from recon3d.summary import Summarised
 from recon3d.surface.repair import Repairs, triangle_areas
+from recon3d.surface.visibility import keep_vertices
 from recon3d.tasks import versions
 from recon3d.volume.carved import Carved
 
@@ -38,11 +39,11 @@ class Reconstruction(Summarised):
     confidence: NDArray[np.float64] | None
     """(n_points,) of matched points, in (0, 1); None of voxels."""
     mesh: o3d.geometry.TriangleMesh
-    """Smooth, coloured from the views; closed, but for rims that ``quality`` counts, unless what is unsupported was
-    left out."""
+    """Coloured from the views. Closed, but for the open boundaries that ``quality`` counts, unless unsupported surface
+    was left out."""
     support: NDArray[np.int64]
-    """(n_vertices,) how many views see each vertex of the mesh; of a sharp mesh 0 where no point lies near it. Where
-    it is 0, the hull closes the mesh."""
+    """(n_vertices,) views that measured each vertex of the mesh: that see it and, with dense matching, near a matched
+    point. 0: filled from the hull."""
     repairs: Repairs
     """What was wrong with the mesh before."""
     timings: dict[str, float]
@@ -50,7 +51,9 @@ class Reconstruction(Summarised):
     quality: Quality
     """Of the mesh, by the photographs that it was made of."""
     evaluation: Evaluation | None = None
-    """Of the mesh, where a ground truth was given."""
+    """Of the whole mesh, where a ground truth was given."""
+    supported_evaluation: Evaluation | None = None
+    """Of the measured part alone, where a ground truth was given; None also where nothing was measured."""
 
     @property
     def supported_share(self) -> float:
@@ -58,6 +61,10 @@ class Reconstruction(Summarised):
         triangles = np.asarray(self.mesh.triangles)
         areas = triangle_areas(np.asarray(self.mesh.vertices), triangles)
         return float(areas[(self.support[triangles] > 0).all(axis=1)].sum() / areas.sum())
+
+    def supported_mesh(self) -> o3d.geometry.TriangleMesh:
+        """The part of the mesh that was measured: triangles whose vertices all have support."""
+        return keep_vertices(self.mesh, self.support > 0)
 
     def __getstate__(self) -> dict[str, Any]:
         """Open3D's legacy geometry does not pickle: its arrays do."""
@@ -91,27 +98,31 @@ class Reconstruction(Summarised):
                 "vertices": len(self.mesh.vertices),
                 "triangles": len(self.mesh.triangles),
                 "support": np.bincount(self.support).tolist(),
+                "supported_share": self.supported_share,
                 **self.repairs.record(),
             },
             "timings_s": self.timings,
             "quality": self.quality.record(),
             "evaluation": self.evaluation.record() if self.evaluation else None,
+            "supported_evaluation": self.supported_evaluation.record() if self.supported_evaluation else None,
         }
 
     def summary(self) -> dict[str, object]:
-        """Table of the run."""
+        """Table of the run, what was measured first."""
         lattice = self.carved.lattice
         mm = lattice.voxel_size * self.scene.mm_per_unit
-        supported = self.supported_share
+        share = self.supported_share
+        distances = {"measured surface": self.supported_evaluation, "whole mesh": self.evaluation}
+        if share == 1:
+            del distances["whole mesh"]
         return {
             "scene": f"{self.scene.name}, {len(self.scene.views)} views",
-            "voxels": f"{lattice.n_voxels:,} of {mm:.3g} mm, {self.carved.n_accepted:,} accepted",
-            "mesh": f"{len(self.mesh.triangles):,} triangles; {supported:.0%} of the surface measured, "
-            f"{1 - supported:.0%} filled from the hull",
-            **({"mended": str(self.repairs)} if str(self.repairs) else {}),
-            "time": ", ".join(f"{name} {seconds:.2f} s" for name, seconds in self.timings.items()),
+            "surface": f"{share:.0%} measured" + (f", {1 - share:.0%} filled from the hull" if share < 1 else ""),
+            **{name: distance.headline() for name, distance in distances.items() if distance},
             **self.quality.summary(),
-            **(self.evaluation.summary() if self.evaluation else {}),
+            "mesh": f"{len(self.mesh.triangles):,} triangles" + (f"; {self.repairs}" if str(self.repairs) else ""),
+            "voxels": f"{lattice.n_voxels:,} of {mm:.3g} mm, {self.carved.n_accepted:,} accepted",
+            "time": ", ".join(f"{name} {seconds:.2f} s" for name, seconds in self.timings.items()),
         }
 
     def picture(self) -> NDArray[np.uint8]:

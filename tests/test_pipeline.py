@@ -74,7 +74,10 @@ def test_the_record_holds_every_parameter_version_timing_and_figure(
     assert set(record["timings_s"]) == {"views", "carving", "surface", "quality", "evaluation"}
     assert sum(record["voxels"].values()) == math.prod(record["volume"]["shape"])
     assert result.evaluation is not None
+    assert result.supported_evaluation is not None
     assert record["evaluation"]["accuracy_mm"] == result.evaluation.accuracy_mm
+    assert record["supported_evaluation"]["accuracy_mm"] == result.supported_evaluation.accuracy_mm
+    assert record["mesh"]["supported_share"] == result.supported_share
     assert record["quality"] == result.quality.record()
     assert {"shape", "re-projection (8 views)"} <= set(result.summary())
     assert record["scene"]["views"] == [view.name for view in result.scene.views]
@@ -117,7 +120,6 @@ def test_the_mesh_has_the_views_colours_and_its_support(result: recon3d.Reconstr
     support = result.record()["mesh"]["support"]
     assert sum(support) == len(result.mesh.vertices)
     assert support[0] == (result.support == 0).sum()
-    assert f"{result.supported_share:.0%} of the surface measured" in str(result.summary()["mesh"])
 
 
 def test_the_supported_share_is_one_of_the_area(result: recon3d.Reconstruction) -> None:
@@ -127,6 +129,33 @@ def test_the_supported_share_is_one_of_the_area(result: recon3d.Reconstruction) 
     )
     assert replace(result, mesh=mesh, support=np.array([1, 2, 1, 3, 3, 0])).supported_share == pytest.approx(16 / 17)
     assert replace(result, mesh=mesh, support=np.array([0, 0, 0, 3, 3, 1])).supported_share == pytest.approx(1 / 17)
+
+
+def test_what_was_measured_is_told_first_and_apart_from_the_whole_mesh(result: recon3d.Reconstruction) -> None:
+    whole, part = result.evaluation, result.supported_evaluation
+    assert whole is not None
+    assert part is not None
+    assert 0 < result.supported_share < 1
+    assert len(result.supported_mesh().triangles) < len(result.mesh.triangles)
+    again = recon3d.evaluate(
+        result.supported_mesh(),
+        recon3d.little_temple(width=160, height=120).ground_truth,
+        mm_per_unit=result.scene.mm_per_unit,
+    )
+    assert part.accuracy_mm == again.accuracy_mm
+    rows = result.summary()
+    assert list(rows)[:4] == ["scene", "surface", "measured surface", "whole mesh"]
+    share = f"{result.supported_share:.0%} measured, {1 - result.supported_share:.0%} filled from the hull"
+    assert [rows[name] for name in ("surface", "measured surface", "whole mesh")] == [
+        share, part.headline(), whole.headline(),
+    ]  # fmt: skip
+    assert part.headline().startswith(f"accuracy {part.accuracy_mm:.3g} mm (90%), completeness ")
+    cut = replace(result, support=np.ones_like(result.support), supported_evaluation=whole)
+    assert cut.summary()["surface"] == "100% measured"
+    assert "whole mesh" not in cut.summary()
+    assert not {"measured surface", "whole mesh"} & set(
+        replace(result, evaluation=None, supported_evaluation=None).summary()
+    )
 
 
 def test_the_mesh_is_nearer_to_photographs_left_out_than_its_voxels() -> None:
@@ -155,9 +184,9 @@ def test_specks_are_dropped_unless_all_pieces_are_wanted(temple: recon3d.BuiltIn
     everything = recon3d.reconstruct(temple.scene, settings)
     tidy = recon3d.reconstruct(temple.scene, replace(settings, meshing=recon3d.Meshing(min_component=100)))
     assert everything.repairs.small_components == 0
-    assert "mended" not in everything.summary()
+    assert "dropped" not in str(everything.summary()["mesh"])
     assert tidy.repairs.small_components > 0
-    assert f"{tidy.repairs.small_components} small components dropped" in str(tidy.summary()["mended"])
+    assert f"{tidy.repairs.small_components} small components dropped" in str(tidy.summary()["mesh"])
     assert tidy.record()["mesh"]["small_components"] == tidy.repairs.small_components
     assert len(tidy.mesh.triangles) < len(everything.mesh.triangles)
 

@@ -10,7 +10,7 @@ from scenes import ball_mesh, cameras, photographs, plain_view, rotation
 
 from recon3d.datasets.synthetic import BuiltInScene
 from recon3d.rendering.orbit import look_at, up_direction
-from recon3d.rendering.renderer import MODES, Renderer, pixel_rays
+from recon3d.rendering.renderer import MODES, Renderer, pixel_rays, render
 from recon3d.rendering.sheets import comparison_sheet, portrait, turntable
 from recon3d.scene.bounds import Bounds
 from recon3d.scene.scene import Scene
@@ -285,3 +285,11 @@ def test_a_portrait_is_cut_to_the_bounds_and_upright_whichever_way_the_camera_wa
         K[1, 2] = view.width - 1 - K[1, 2]
         view = View.from_matrices(K, turn @ view.cam_from_world, np.rot90(view.image).copy())
         np.testing.assert_array_equal(portrait(view.image, view, scene), upright)
+
+
+def test_one_call_renders_a_mesh_from_many_views(temple: BuiltInScene) -> None:
+    views = temple.scene.views[1:3]
+    renderer = Renderer(temple.ground_truth)
+    for view, rendering in zip(views, render(temple.ground_truth, views), strict=True):
+        np.testing.assert_array_equal(rendering.depth, renderer.render_view(view).depth)
+        np.testing.assert_array_equal(rendering.colors, renderer.render_view(view).colors)

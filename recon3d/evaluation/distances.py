@@ -84,6 +84,13 @@ class Evaluation(Summarised):
             "ground_truth_within_percent": percent_within(self.completeness_distances),
         }
 
+    def headline(self) -> str:
+        """Accuracy and completeness in a line."""
+        return (
+            f"accuracy {self.accuracy_mm:.3g} mm ({self.accuracy_percent:g}%), completeness "
+            f"{self.completeness_percent:.1f}% (within {self.completeness_threshold_mm:g} mm)"
+        )
+
     def summary(self) -> dict[str, object]:
         """Table of the figures."""
         return {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -113,6 +114,12 @@ class Renderer:
         image = np.zeros((*hit.shape, 3))
         image[hit] = np.einsum("nc,ncd->nd", weights, values[self._triangles[seen.triangle[hit]]])
         return image
+
+
+def render(mesh: o3d.geometry.TriangleMesh, views: Iterable[View]) -> list[Rendering]:
+    """A mesh as each of some views' cameras sees it."""
+    renderer = Renderer(mesh)
+    return [renderer.render_view(view) for view in views]
 
 
 @dataclass(frozen=True)

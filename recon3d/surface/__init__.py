@@ -2,7 +2,7 @@
 
 from recon3d.surface.extraction import mesh_sparse, mesh_volume, surface_points
 from recon3d.surface.graph_cut import graph_cut
-from recon3d.surface.meshing import Meshing
+from recon3d.surface.meshing import Meshed, Meshing, mesh
 from recon3d.surface.poisson import MeasuredSpace, Surface, mesh_points
 from recon3d.surface.repair import Repaired, Repairs, repair_mesh
 from recon3d.surface.vertex_colors import color
@@ -10,6 +10,7 @@ from recon3d.surface.visibility import VertexVisibility, keep_vertices
 
 __all__ = [
     "MeasuredSpace",
+    "Meshed",
     "Meshing",
     "Repaired",
     "Repairs",
@@ -18,6 +19,7 @@ __all__ = [
     "color",
     "graph_cut",
     "keep_vertices",
+    "mesh",
     "mesh_points",
     "mesh_sparse",
     "mesh_volume",

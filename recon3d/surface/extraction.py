@@ -95,9 +95,19 @@ def mesh_level(
 
 
 def mesh_sparse(volume: SparseVolume, *, smoothing: int = 5) -> o3d.geometry.TriangleMesh:
-    """Smooth closed mesh of a sparse volume, coloured by its visible voxels, normals outwards.
+    """Smooth closed mesh of a sparse volume, coloured by its visible voxels, normals outwards; see ``sparse_shape``."""
+    mesh = sparse_shape(volume, smoothing=smoothing)
+    lenders = volume.visible if volume.visible.any() else volume.surface()
+    mesh.vertex_colors = o3d.utility.Vector3dVector(
+        blend_colors(volume.centers(lenders), volume.colors[lenders], volume.voxel_size, np.asarray(mesh.vertices))
+    )
+    return mesh
 
-    The mesh that ``mesh_volume`` makes of the same voxels, except within 4 voxels of the lattice's border, made block
+
+def sparse_shape(volume: SparseVolume, *, smoothing: int = 5) -> o3d.geometry.TriangleMesh:
+    """Smooth closed mesh of a sparse volume, without colours, normals outwards.
+
+    The mesh that ``mesh_shape`` makes of the same voxels, except within 4 voxels of the lattice's border, made block
     by block: neighbouring blocks share a layer of samples, and their vertices are welded where they lie on the same
     edge of the lattice.
 
@@ -119,12 +129,7 @@ def mesh_sparse(volume: SparseVolume, *, smoothing: int = 5) -> o3d.geometry.Tri
         edges.append(_lattice_edges(low, local, volume.shape))
         n_vertices += len(local)
     _, first, welded = np.unique(np.concatenate(edges), return_index=True, return_inverse=True)
-    mesh = _smooth_mesh(np.concatenate(vertices)[first], welded[np.concatenate(faces)], smoothing)
-    lenders = volume.visible if volume.visible.any() else volume.surface()
-    mesh.vertex_colors = o3d.utility.Vector3dVector(
-        blend_colors(volume.centers(lenders), volume.colors[lenders], volume.voxel_size, np.asarray(mesh.vertices))
-    )
-    return mesh
+    return _smooth_mesh(np.concatenate(vertices)[first], welded[np.concatenate(faces)], smoothing)
 
 
 def _surface_blocks(volume: SparseVolume) -> Iterator[tuple[NDArray[np.int64], NDArray[np.float32]]]:

@@ -3,10 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import get_args
+from typing import NamedTuple, get_args
+
+import numpy as np
+import open3d as o3d
+from numpy.typing import NDArray
 
 from recon3d.checks import require_choice, require_flag, require_number, require_whole
-from recon3d.surface.poisson import Surface
+from recon3d.surface.extraction import mesh_shape, sparse_shape
+from recon3d.surface.poisson import MeasuredSpace, Surface, mesh_points
+from recon3d.surface.repair import Repairs, repair_mesh
+from recon3d.volume.carved import Carved
+from recon3d.volume.sparse import SparseVolume
+
+_SMOOTHING = 5  # pairs of Taubin steps on a mesh of voxels
 
 
 @dataclass(frozen=True)
@@ -33,3 +43,60 @@ class Meshing:
         if self.smoothing is not None:
             require_whole("smoothing", self.smoothing, least=0)
         require_number("min_component", self.min_component, "[0, inf)")
+
+
+class Meshed(NamedTuple):
+    """A mesh, and what is known of it."""
+
+    mesh: o3d.geometry.TriangleMesh
+    """Manifold, normals outwards, without colours; closed, but for small holes that Poisson may leave."""
+    measured: NDArray[np.bool_]
+    """(n_vertices,) whether a matched point lies near a vertex; True throughout a mesh of voxels."""
+    repairs: Repairs
+    """What was wrong with it before."""
+
+
+def mesh(
+    carved: Carved,
+    points: o3d.t.geometry.PointCloud | None = None,
+    meshing: Meshing | None = None,
+    *,
+    spacing: float | None = None,
+    one_sided: bool = False,
+) -> Meshed:
+    """Mesh of matched points inside a carved volume, or of the volume's voxels where no points are given.
+
+    Parameters
+    ----------
+    carved : what carving or ``refine`` left; its hull closes the mesh where there are no points.
+    points : as ``refine`` finds them.
+    meshing : how; ``Meshing()`` when None. What of the mesh is unsupported is known only with the views, so
+        ``keep_unsupported`` means nothing here.
+    spacing : of the points, see ``mesh_points``; world units.
+    one_sided : the voxels are a shell, seen from one side: what is hidden behind it is meshed only if
+        ``meshing.fill_hidden``.
+
+    Raises
+    ------
+    EmptyReconstructionError : no voxel is left, or no point lies in the hull.
+    """
+    meshing = meshing or Meshing()
+    lattice = carved.lattice
+    if points is not None:
+        measured = MeasuredSpace(points, spacing or lattice.voxel_size / 2)
+        found = mesh_points(points, carved.dense(), surface=meshing.surface, spacing=spacing, measured=measured)
+    else:
+        measured = None
+        found = _mesh_of_voxels(carved, _SMOOTHING if meshing.smoothing is None else meshing.smoothing,
+                                shell=one_sided and not meshing.fill_hidden)  # fmt: skip
+    sound, repairs, _ = repair_mesh(found, min_area=meshing.min_component * lattice.voxel_size**2)
+    places = np.asarray(sound.vertices)
+    return Meshed(sound, np.ones(len(places), np.bool_) if measured is None else measured.holds(places), repairs)
+
+
+def _mesh_of_voxels(carved: Carved, smoothing: int, *, shell: bool) -> o3d.geometry.TriangleMesh:
+    """Uncoloured mesh of the accepted voxels, or of all that is solid."""
+    if isinstance(carved, SparseVolume):
+        return sparse_shape(carved, smoothing=smoothing)
+    dense = carved.dense()
+    return mesh_shape(dense.volume if shell else dense.with_interior, distance=dense.distance, smoothing=smoothing)

@@ -92,6 +92,7 @@ def mesh_points(
     middle = closed.get_axis_aligned_bounding_box().get_center()
     closed.translate(-middle)
     mesh, _ = o3d.geometry.TriangleMesh.create_from_point_cloud_poisson(closed, depth=depth, scale=_MARGIN, n_threads=1)
+    mesh.vertex_colors = o3d.utility.Vector3dVector()  # black ones
     mesh.translate(middle)
     mesh.compute_vertex_normals()
     return mesh
