@@ -135,13 +135,7 @@ def threads(n: int) -> ThreadPoolExecutor:
     """Executor of n threads for ``map``, among which the cores for compiled loops are divided."""
     if n < 1:
         raise ArgumentError(f"expected at least one thread, got {n}")
-    import recon3d.kernels  # noqa: F401 # which says what compiled loops run on
-
     share = max(1, numba.get_num_threads() // n)
-    if numba.threading_layer() == "workqueue":
-        raise ArgumentError(
-            "expected numba with OpenMP or TBB, whose compiled loops may run in several threads at once"
-        )
     return ThreadPoolExecutor(n, initializer=numba.set_num_threads, initargs=(share,))
 
 
