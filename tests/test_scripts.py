@@ -59,8 +59,8 @@ def test_the_f_score_falls_from_all_to_none(temple: BuiltInScene, monkeypatch: p
     result = recon3d.reconstruct(temple.scene, recon3d.Settings(n_voxels=20_000, carving=recon3d.VoxelColoring()))
     monkeypatch.setattr("recon3d.reconstruct", lambda *_: result)
     scores = [
-        tune.Measured(temple.scene, TriangleMesh(result.mesh).translate((shift, 0, 0))).f_score(None)
-        for shift in (0.0, 0.02, 1.0)
+        tune.Measured(temple.scene, moved).f_score(recon3d.StandardDeviation())
+        for moved in (TriangleMesh(result.mesh).translate((shift, 0, 0)) for shift in (0.0, 0.02, 1.0))
     ]
     assert scores[0] == 100
     assert 10 < scores[1] < 90
