@@ -2,25 +2,30 @@
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
+import tempfile
+import warnings
 from pathlib import Path
 
 import open3d as o3d
 import pytest
 
 import recon3d
+from recon3d import cli
 from recon3d.stereo.refinement import PASSES
 
 
-def run(*arguments: object, expect: int = 0) -> subprocess.CompletedProcess[str]:
+def run(*arguments: object, expect: int = 0, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
     process = subprocess.run(
         [sys.executable, "-m", "recon3d.cli", *map(str, arguments)],
         capture_output=True,
         text=True,
         env={**os.environ, "COLUMNS": "120", "NO_COLOR": "1"},
         check=False,
+        cwd=cwd,
     )
     assert process.returncode == expect, process.stdout + process.stderr
     return process
@@ -184,6 +189,13 @@ def test_tests_are_compared_swept_and_written(photographs: Path, temple: recon3d
         (["compare", "PHOTOGRAPHS", "--tests", "fuzzy,magic"], "expected a test among fuzzy, "),
         (["compare", "PHOTOGRAPHS", "--sweep", "threshold=1:2"], "--sweep: expected NAME=LOW:HIGH:STEP"),
         (["compare", "PHOTOGRAPHS", "--valid", "nowhere.ply"], "--valid: expected --ground-truth, too"),
+        (["evaluate", __file__, __file__, "--mm-per-unit", "0"], "--mm-per-unit to be a number in (0, inf), got 0.0"),
+        (["reconstruct", "PHOTOGRAPHS", "--smoothing", "-1"], "expected smoothing to be a whole number of at least 0"),
+        (["reconstruct", "PHOTOGRAPHS", "--fill-hidden"], "fill_hidden: expected a one-sided carving method"),
+        (
+            ["reconstruct", "PHOTOGRAPHS", "--views", "all", "--max-views", "3"],
+            "expected views 'auto' with max_views=3",
+        ),
         (["demo", "--noise", "nan"], "expected 0 <= noise < 256"),
         (["render", str(Path(__file__).parent)], "expected the folder of a result"),
         (["evaluate", "nowhere.ply", "nowhere.ply"], "nowhere.ply: no such file"),
@@ -195,6 +207,61 @@ def test_a_mistake_is_one_line_and_a_failure(arguments: list[str], message: str,
     assert message in process.stderr
     assert len(process.stderr.strip().splitlines()) == 1
     assert process.stdout == ""
+
+
+def kept_traceback(stderr: str) -> str:
+    """What the file holds that the one line of an error names."""
+    assert len(stderr.strip().splitlines()) == 1
+    found = re.search(rf"{re.escape(tempfile.gettempdir())}/recon3d-\w+\.txt", stderr)
+    assert found, stderr
+    text = Path(found[0]).read_text()
+    Path(found[0]).unlink()
+    return text
+
+
+def test_an_error_inside_a_users_test_names_the_line_of_their_code(photographs: Path, tmp_path: Path) -> None:
+    (tmp_path / "own.py").write_text("def fails(patches):\n    return patches.nothing\n")
+    command = ["reconstruct", photographs, "--voxels", 3000, "-o", tmp_path / "out", "--method", "voxel-coloring"]
+    stderr = run(*command, "--test", "own:fails", expect=1, cwd=tmp_path).stderr
+    place = f"{tmp_path / 'own.py'}:2"
+    assert f"own:fails failed: AttributeError: 'Patches' object has no attribute 'nothing' ({place})" in stderr
+    assert "return patches.nothing" in kept_traceback(stderr)
+
+
+@pytest.mark.parametrize("error", [ValueError("could not broadcast\nshapes"), IndexError(3), AssertionError()])
+def test_a_bug_is_told_as_one_and_not_as_the_users_mistake(
+    error: Exception, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def broken(*_: object, **__: object) -> None:
+        raise error
+
+    monkeypatch.setattr("recon3d.io.geometry.read_mesh", broken)
+    monkeypatch.setattr(warnings, "showwarning", warnings.showwarning)  # which it replaces
+    monkeypatch.setattr("sys.argv", ["recon3d", "render", "some.ply"])
+    with pytest.raises(SystemExit) as caught:
+        cli.main()
+    assert caught.value.code == 2
+    stderr = capsys.readouterr().err
+    assert stderr.startswith("Error: this is a bug in recon3d, please report it with ")
+    assert stderr.strip().endswith(" ".join(f"{type(error).__name__}: {error}".split()))
+    told = kept_traceback(stderr)
+    assert f"recon3d {recon3d.__version__}: render some.ply" in told
+    assert "in broken\n    raise error" in told
+    monkeypatch.setattr("sys.argv", ["recon3d", "render", "some.ply", "--debug"])
+    with pytest.raises(type(error)):
+        cli.main()
+
+
+def test_the_help_needs_none_of_the_heavy_modules() -> None:
+    code = "import sys; from recon3d.cli.entry import app; app(['--help'], standalone_mode=False); print(*sys.modules)"
+    process = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert not {"open3d", "numba", "cv2", "scipy", "matplotlib", "skimage"} & set(process.stdout.split())
+
+
+def test_the_help_of_a_reconstruction_has_a_panel_for_every_step() -> None:
+    text = run("reconstruct", "--help").stdout
+    panels = re.findall(r"^[╭+][─-]+ (\w+) [─-]", text, re.MULTILINE)
+    assert panels[-7:] == ["Input", "Carving", "Matching", "Surface", "Measuring", "Output", "Advanced"]
 
 
 def test_debug_shows_the_traceback() -> None:

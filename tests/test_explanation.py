@@ -27,12 +27,11 @@ from reference import (
 from scenes import ball_mesh, cameras, photographs, two_planes_mesh, with_noise
 
 import recon3d
-from recon3d import Explanation, Label, Scene, Settings, explain
+from recon3d import Explanation, Label, Scene, Settings, cli, explain
 from recon3d.carving import METHODS
 from recon3d.carving.hysteresis import CANDIDATE, neighbour_offsets
 from recon3d.carving.observer import path_to_consistent
 from recon3d.carving.visibility import sweep_direction
-from recon3d.cli import commands as cli
 from recon3d.datasets.synthetic import BuiltInScene
 from recon3d.explaining.evidence import PixelKind
 from recon3d.explaining.pointing import voxels_on_ray

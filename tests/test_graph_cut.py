@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scenes import edge_counts, full_volume, signed_volume
 
 from recon3d.errors import EmptyReconstructionError
-from recon3d.surface.graph_cut import graph_cut
+from recon3d.surface.minimum_cut import graph_cut
 from recon3d.volume.carved import CarvedVolume, Label
 
 N = 40  # voxels along the lattice's edge, which are units

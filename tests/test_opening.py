@@ -75,7 +75,7 @@ def test_the_command_line_tells_of_them_in_little_memory(tmp_path: Path) -> None
     script = (
         "import resource, sys, recon3d.scene, recon3d.io, recon3d.carving;"
         "before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss;"
-        "from recon3d.cli.commands import app;"
+        "from recon3d.cli.entry import app;"
         "sys.argv = ['recon3d', 'info', sys.argv[1]];"
         "app(standalone_mode=False);"
         "print('added', resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)"

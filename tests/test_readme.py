@@ -15,9 +15,9 @@ def test_the_example_of_an_own_test_runs() -> None:
 
 
 def test_every_command_that_the_readme_types_exists() -> None:
-    from recon3d.cli.commands import app
+    from recon3d.cli.entry import app
 
-    known = {command.callback.__name__ for command in app.registered_commands if command.callback}
+    known = {command.name for command in app.registered_commands}
     blocks = "".join(re.findall(r"```\n(.*?)```", README, re.DOTALL))
     typed = set(re.findall(r"^recon3d (\w+)", blocks, re.MULTILINE))
     assert typed

@@ -105,7 +105,7 @@ def _windows(
     return windows
 
 
-def observations(
+def observed_colors(
     views: PackedViews, occupied: NDArray[np.bool_], volume: CarvingVolume
 ) -> tuple[NDArray[np.int64], NDArray[np.uint8], NDArray[np.bool_]]:
     """Voxels (n, 3) that some image shows, mean colour of each footprint (n, n_views, 3), and which views have one."""

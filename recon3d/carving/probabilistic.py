@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recon3d.carving.method import Method
-from recon3d.carving.observations import carve_background, observations
+from recon3d.carving.observations import carve_background, observed_colors
 from recon3d.carving.observer import Observer
 from recon3d.carving.start import clear_around_cameras
 from recon3d.checks import require_number, require_whole
@@ -111,7 +111,7 @@ class ProbabilisticSpaceCarving(Method):
         carve_background(views, occupied, volume)
         hull.labels[volume.occupied & ~occupied] = Label.BACKGROUND
         clear_around_cameras(occupied, scene, volume)
-        voxels, colors, seen = observations(views, occupied, volume)
+        voxels, colors, seen = observed_colors(views, occupied, volume)
 
         centers = (scene.centers - volume.origin) / volume.voxel_size
         density = _color_density(views)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from recon3d.carving.method import Method
-from recon3d.carving.observations import carve_background, observations
+from recon3d.carving.observations import carve_background, observed_colors
 from recon3d.carving.observer import Observer
 from recon3d.carving.start import clear_around_cameras
 from recon3d.checks import require_number, require_whole
@@ -104,7 +104,7 @@ class Roxels(Method):
         carve_background(views, occupied, volume)
         hull.labels[volume.occupied & ~occupied] = Label.BACKGROUND
         clear_around_cameras(occupied, scene, volume)
-        voxels, observed, seen = observations(views, occupied, volume)
+        voxels, observed, seen = observed_colors(views, occupied, volume)
         at = tuple(voxels.T)
 
         centers = (scene.centers - volume.origin) / volume.voxel_size

@@ -1,6 +1,6 @@
 """The command line."""
 
-from recon3d.cli.commands import main
+from recon3d.cli.entry import main
 
 __all__ = [
     "main",

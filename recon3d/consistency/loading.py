@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from recon3d.consistency.base import AroundTest, ConsistencyTest, Patches, Verdict
-from recon3d.consistency.failure import failure
+from recon3d.consistency.failures import failure
 from recon3d.errors import ArgumentError
 
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from recon3d.consistency.base import AroundTest, ConsistencyTest, Patches, Verdict
-from recon3d.consistency.failure import failure
+from recon3d.consistency.failures import failure
 from recon3d.consistency.hysteresis import Hysteresis
 from recon3d.consistency.loading import LoadedTest, load_by_path
 from recon3d.consistency.table import TESTS

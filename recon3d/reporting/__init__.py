@@ -1,6 +1,6 @@
 """What a run leaves for people to see: plots, pictures, pages."""
 
-from recon3d.reporting.error_map import error_map
+from recon3d.reporting.error_maps import error_map
 from recon3d.reporting.figures import plot_evaluation, save_evaluation, show_mesh
 from recon3d.reporting.pictures import save_error_maps, save_pictures
 from recon3d.reporting.saving import save

@@ -11,7 +11,7 @@ from recon3d.io.files import write_image
 from recon3d.io.geometry import read_mesh, write_geometry
 from recon3d.rendering.renderer import Renderer
 from recon3d.rendering.sheets import comparison_sheet, turntable
-from recon3d.reporting.error_map import error_map
+from recon3d.reporting.error_maps import error_map
 from recon3d.scene.names import file_stems
 from recon3d.scene.scene import Scene
 

@@ -1,8 +1,8 @@
 """Meshes: made of voxels and points, repaired, and coloured."""
 
 from recon3d.surface.extraction import mesh_sparse, mesh_volume, surface_points
-from recon3d.surface.graph_cut import graph_cut
 from recon3d.surface.meshing import Meshed, Meshing, mesh
+from recon3d.surface.minimum_cut import graph_cut
 from recon3d.surface.poisson import MeasuredSpace, Surface, mesh_points
 from recon3d.surface.repair import Repaired, Repairs, repair_mesh
 from recon3d.surface.vertex_colors import color

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from recon3d.errors import ArgumentError
 from recon3d.surface.extraction import mesh_shape
-from recon3d.surface.graph_cut import graph_cut
+from recon3d.surface.minimum_cut import graph_cut
 from recon3d.volume.carved import CarvedVolume
 
 Surface = Literal["poisson", "graph-cut"]

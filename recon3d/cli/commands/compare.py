@@ -1,0 +1,108 @@
+"""``recon3d compare``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from recon3d.checks import require_number
+from recon3d.cli import options
+from recon3d.cli.arguments import load, make_method, names_of, progress, say, sweep_of, views_of, writable
+from recon3d.cli.options import CARVING, INPUT, MEASURING
+from recon3d.errors import ArgumentError
+
+TESTS = "Tests"
+
+
+def command(
+    scene: options.Scene,
+    tests: Annotated[
+        str,
+        typer.Option(
+            metavar="all|NAME,NAME", help="Photo-consistency tests, built in or module:name.", rich_help_panel=TESTS
+        ),
+    ] = "all",
+    sweep: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME=LOW:HIGH:STEP",
+            help="Run the tests with this parameter at each of its values.",
+            rich_help_panel=TESTS,
+        ),
+    ] = None,
+    views: options.Views = "auto",
+    max_views: Annotated[
+        int | None, typer.Option(help="At most so many views, after those left out.", rich_help_panel=INPUT)
+    ] = None,
+    silhouettes: options.Silhouettes = "auto",
+    bounds: options.Bounds = None,
+    mm_per_unit: options.MmPerUnit = 1000.0,
+    n_voxels: Annotated[
+        int, typer.Option("--voxels", help="Approximate number of voxels.", rich_help_panel=CARVING)
+    ] = 1_000_000,
+    method: options.Method = "voxel-coloring",
+    leave_out: Annotated[
+        str,
+        typer.Option(
+            metavar="N|NAME,NAME",
+            help="Hold out every N-th view, or those named, to measure re-projection on; 0: measure on all used.",
+            rich_help_panel=MEASURING,
+        ),
+    ] = "4",
+    ground_truth: Annotated[
+        Path | None, typer.Option(metavar="MESH", help="Measure against this mesh.", rich_help_panel=MEASURING)
+    ] = None,
+    valid: options.Valid = None,
+    valid_within: options.ValidWithin = 0.1,
+    accuracy_percent: options.AccuracyPercent = 90.0,
+    completeness_threshold: options.CompletenessThreshold = 1.25,
+    output: options.Output = None,
+    method_option: options.MethodOptions = None,
+) -> None:
+    """Compare photo-consistency tests on the same voxels and views; what is finished is not run again."""
+    from recon3d.evaluation.files import read_ground_truth
+    from recon3d.settings import Settings
+    from recon3d.study.comparison import compare
+    from recon3d.study.variants import expand_variants
+
+    chosen: Any = tests if tests == "all" else names_of(tests)
+    swept = sweep_of(sweep) if sweep else None
+    expand_variants(chosen, swept)  # a mistake here need not wait for the photographs
+    settings = Settings(
+        n_voxels=n_voxels,
+        carving=make_method(method, method_option or [], None, []),
+        views=views_of(views),
+        max_views=max_views,
+    )
+    require_number("--mm-per-unit", mm_per_unit, "(0, inf)")
+    measuring: dict[str, Any] = {}
+    if valid and not ground_truth:
+        raise ArgumentError("--valid: expected --ground-truth, too")
+    if ground_truth:
+        truth, mask = read_ground_truth(
+            ground_truth, valid=valid, valid_within_mm=valid_within, mm_per_unit=mm_per_unit
+        )
+        measuring = {
+            "ground_truth": truth,
+            "valid": mask,
+            "accuracy_percent": accuracy_percent,
+            "completeness_threshold_mm": completeness_threshold,
+        }
+    loaded = load(scene, bounds, silhouettes, mm_per_unit)
+    folder = writable(output or Path("recon3d-output") / f"{loaded.name}-tests")
+    with progress() as report:
+        result = compare(
+            loaded,
+            chosen,
+            settings=settings,
+            sweep=swept,
+            leave_out=int(leave_out) if leave_out.isdigit() else names_of(leave_out),
+            folder=folder,
+            progress=report,
+            **measuring,
+        )
+        written = result.save(folder)
+    typer.echo(result.markdown())
+    say(written)

@@ -1,0 +1,144 @@
+"""``recon3d reconstruct``."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from recon3d.cli import options
+from recon3d.cli.arguments import load, make_method, run, save, say, views_of, writable
+from recon3d.cli.options import ADVANCED, CARVING, INPUT, MATCHING, MEASURING, OUTPUT, SURFACE
+
+
+class _Matching(StrEnum):
+    """Whether points are matched inside the carved voxels."""
+
+    auto = "auto"
+    none = "none"
+    dense = "dense"
+
+
+class _Surface(StrEnum):
+    """Ways from points to a mesh."""
+
+    poisson = "poisson"
+    graph_cut = "graph-cut"
+
+
+class _MeshFormat(StrEnum):
+    """File formats of a mesh."""
+
+    ply = "ply"
+    obj = "obj"
+    glb = "glb"
+    stl = "stl"
+
+
+def command(
+    scene: options.Scene,
+    views: options.Views = "auto",
+    max_views: Annotated[
+        int | None, typer.Option(help="With --views auto: at most so many.", rich_help_panel=INPUT)
+    ] = None,
+    silhouettes: options.Silhouettes = "auto",
+    bounds: options.Bounds = None,
+    mm_per_unit: options.MmPerUnit = 1000.0,
+    n_voxels: Annotated[
+        int | None,
+        typer.Option("--voxels", help="Approximate number of voxels.", show_default="1000000", rich_help_panel=CARVING),
+    ] = None,
+    voxel_size: Annotated[
+        float | None, typer.Option(help="Voxel size in world units, instead of --voxels.", rich_help_panel=CARVING)
+    ] = None,
+    method: options.Method = "auto",
+    test: Annotated[
+        str | None,
+        typer.Option(
+            help="Photo-consistency test, where the method uses one: a name such as fuzzy, or module:name.",
+            rich_help_panel=CARVING,
+        ),
+    ] = None,
+    matching: Annotated[
+        _Matching,
+        typer.Option(
+            help="dense: mesh of points that are matched inside the carved voxels; none: of the voxels themselves; "
+            "auto: dense where --method is auto and silhouettes are known.",
+            rich_help_panel=MATCHING,
+        ),
+    ] = _Matching.auto,
+    surface: Annotated[
+        _Surface, typer.Option(help="How a mesh is made of matched points.", rich_help_panel=SURFACE)
+    ] = _Surface.poisson,
+    keep_unsupported: Annotated[
+        bool,
+        typer.Option(
+            help="Keep surface that was not measured, filled from the hull, so that the mesh is closed.",
+            rich_help_panel=SURFACE,
+        ),
+    ] = True,
+    ground_truth: Annotated[
+        Path | None, typer.Option(metavar="MESH", help="Measure against this mesh.", rich_help_panel=MEASURING)
+    ] = None,
+    output: options.Output = None,
+    mesh_format: Annotated[
+        list[_MeshFormat] | None, typer.Option(help="May be repeated.", show_default="ply", rich_help_panel=OUTPUT)
+    ] = None,
+    pictures: Annotated[bool, typer.Option(help="Render comparison and turntable.", rich_help_panel=OUTPUT)] = True,
+    method_option: options.MethodOptions = None,
+    test_option: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME=VALUE", help="Parameter of the test; may be repeated.", rich_help_panel=ADVANCED),
+    ] = None,
+    fill_hidden: Annotated[
+        bool,
+        typer.Option(
+            "--fill-hidden",
+            help="With a one-sided method: mesh what lies hidden behind the accepted voxels, too; solid.",
+            rich_help_panel=ADVANCED,
+        ),
+    ] = False,
+    smoothing: Annotated[
+        int | None,
+        typer.Option(
+            help="Pairs of Taubin steps on a mesh of voxels; 0: none.", show_default="5", rich_help_panel=ADVANCED
+        ),
+    ] = None,
+    min_component: Annotated[
+        float,
+        typer.Option(
+            help="Area, in faces of a voxel, below which a separate piece of the mesh is dropped; 0 keeps all.",
+            rich_help_panel=ADVANCED,
+        ),
+    ] = 100.0,
+) -> None:
+    """Reconstruct a coloured mesh, points and voxels from calibrated photographs."""
+    from recon3d.io.geometry import read_mesh
+    from recon3d.settings import Settings
+    from recon3d.stereo import PASSES
+    from recon3d.surface import Meshing
+
+    settings = Settings(
+        views=views_of(views),
+        max_views=max_views,
+        n_voxels=n_voxels,
+        voxel_size=voxel_size,
+        carving=make_method(method, method_option or [], test, test_option or []),
+        matching={"auto": "auto", "none": None, "dense": PASSES}[matching.value],
+        meshing=Meshing(
+            surface=surface.value,
+            keep_unsupported=keep_unsupported,
+            fill_hidden=fill_hidden,
+            smoothing=smoothing,
+            min_component=min_component,
+        ),
+    )
+    truth = read_mesh(ground_truth) if ground_truth else None
+    loaded = load(scene, bounds, silhouettes, mm_per_unit)
+    folder = writable(output or Path("recon3d-output") / loaded.name)
+    result = run(loaded, settings, truth, folder / "stages")
+    written = save(result, folder, [name.value for name in mesh_format or [_MeshFormat.ply]], pictures=pictures)
+    say(result.summary())
+    say(written)

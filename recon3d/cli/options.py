@@ -1,0 +1,99 @@
+"""Arguments and options that several commands have."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+INPUT, CARVING, MATCHING, SURFACE = "Input", "Carving", "Matching", "Surface"
+MEASURING, OUTPUT, ADVANCED = "Measuring", "Output", "Advanced"
+"""Panels of the help, in this order."""
+
+
+Scene = Annotated[
+    str, typer.Argument(metavar="SCENE", help="Folder of calibrated photographs, or 'little-temple' (built in).")
+]
+
+
+Output = Annotated[
+    Path | None, typer.Option("--output", "-o", metavar="DIR", help="Folder for the results.", rich_help_panel=OUTPUT)
+]
+
+
+Bounds = Annotated[
+    str | None,
+    typer.Option(
+        metavar="X0,Y0,Z0,X1,Y1,Z1",
+        help="Box around the object in world units, if not the scene's own.",
+        rich_help_panel=INPUT,
+    ),
+]
+
+
+Silhouettes = Annotated[
+    str,
+    typer.Option(
+        metavar="auto|segmented|threshold|none|FOLDER",
+        help="Masks of the object: auto takes the scene's own, or else segments the dark background.",
+        rich_help_panel=INPUT,
+    ),
+]
+
+
+Views = Annotated[
+    str,
+    typer.Option(
+        metavar="auto|all|NAME,NAME",
+        help="auto: as many as the method admits; names may hold wildcards.",
+        rich_help_panel=INPUT,
+    ),
+]
+
+
+MmPerUnit = Annotated[
+    float, typer.Option(metavar="MM", help="Millimetres in one world unit (1000: metres).", rich_help_panel=INPUT)
+]
+
+
+Method = Annotated[
+    str, typer.Option(help="Carving method: auto or one of the README's table.", rich_help_panel=CARVING)
+]
+
+
+MethodOptions = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--method-option",
+        metavar="NAME=VALUE",
+        help="Option of the method, such as connectivity=6; may be repeated.",
+        rich_help_panel=ADVANCED,
+    ),
+]
+
+
+AccuracyPercent = Annotated[
+    float,
+    typer.Option(metavar="PERCENT", help="Share of the reconstruction for accuracy.", rich_help_panel=MEASURING),
+]
+
+
+CompletenessThreshold = Annotated[
+    float, typer.Option(metavar="MM", help="Distance that counts as complete.", rich_help_panel=MEASURING)
+]
+
+
+Valid = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="MESH",
+        help="The part of GROUND_TRUTH that is real data; the rest is filler.",
+        rich_help_panel=MEASURING,
+    ),
+]
+
+
+ValidWithin = Annotated[
+    float, typer.Option(metavar="MM", help="How near to --valid counts as valid.", rich_help_panel=MEASURING)
+]
