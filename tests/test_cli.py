@@ -134,7 +134,7 @@ def test_tests_are_compared_swept_and_written(photographs: Path, temple: recon3d
     assert all(f"| {label} " in text for label in labels)
     assert "within 3 mm" in text
     assert record["trials"][0]["completeness_percent"] > 0
-    assert (len(record["views"]), len(record["left_out"])) == (4, 2)
+    assert (len(record["views"]), len(record["held_out"])) == (4, 2)
     for name in ("comparison.md", "contact_sheet.png", "trade_off.png"):
         assert str(tmp_path / name) in text
     assert len(list((tmp_path / "trials").glob("*.json"))) == 1

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numba
@@ -24,6 +25,8 @@ from scenes import (
 )
 from scipy.spatial import cKDTree
 
+import recon3d
+from recon3d.carving import METHODS
 from recon3d.carving.bricks import BYTES_PER_BRICK, BrickItems, Bricks
 from recon3d.carving.fine_generalized import FineGeneralizedVoxelColoring
 from recon3d.carving.fine_visual_hull import FineVisualHull
@@ -280,3 +283,40 @@ def test_a_test_that_carves_everything_is_a_clear_error() -> None:
     scene = Scene((plain_view(),), Bounds([-1, -1, -1], [1, 1, 1]))
     with pytest.raises(EmptyReconstructionError, match="carved all 1,000 voxels"):
         FineGeneralizedVoxelColoring(never).carve(scene, Lattice.enclosing(scene.bounds, voxel_size=0.2))
+
+
+@pytest.mark.parametrize("name", ["fine-visual-hull", "fine-generalized-voxel-coloring"])
+def test_a_fine_method_is_reconstructed_saved_kept_and_refined_like_its_dense_twin(
+    name: str, temple: BuiltInScene, tmp_path: Path
+) -> None:
+    fine = recon3d.Settings(n_voxels=30_000, carving=METHODS[name]())
+    dense = replace(fine, carving=METHODS[name]().dense())
+    checkpoints = recon3d.Checkpoints(tmp_path / "stages")
+    result = recon3d.reconstruct(temple.scene, fine, checkpoints=checkpoints)
+    other = recon3d.reconstruct(temple.scene, dense)
+    assert isinstance(result.carved, SparseVolume)
+    assert result.carved.lattice == other.carved.lattice
+    counts, others = result.carved.counts(), other.carved.counts()
+    assert (counts["consistent"], counts["hidden"]) == (others["consistent"], others["hidden"])
+    assert sum(counts.values()) == sum(others.values())
+    assert result.carved.n_accepted == other.carved.n_accepted
+    assert len(result.mesh.vertices) == len(other.mesh.vertices)
+    np.testing.assert_allclose(result.quality.overall.median, other.quality.overall.median, atol=0.5)
+    normals = np.asarray(result.points.normals)
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1, atol=1e-6)
+    written = recon3d.save(result, tmp_path / "out", pictures=False)
+    assert set(written) == set(recon3d.save(other, tmp_path / "other", pictures=False))
+    assert recon3d.Settings.from_record(result.record()["settings"]) == result.settings
+
+    again = recon3d.reconstruct(temple.scene, fine, checkpoints=checkpoints)
+    assert again.carved == result.carved
+    one, two = (recon3d.refine(temple.scene, r.carved.dense(), passes=recon3d.PASSES[2:]) for r in (result, other))
+    np.testing.assert_array_equal(one.points.point.positions.numpy(), two.points.point.positions.numpy())
+
+
+def test_a_fine_method_leaves_an_observer_to_its_dense_twin(temple: BuiltInScene) -> None:
+    method = FineGeneralizedVoxelColoring(max_rounds=7)
+    assert method.dense() == GeneralizedVoxelColoring(max_rounds=7)
+    assert FineVisualHull(tolerance=2).dense() == VisualHull(tolerance=2)
+    with pytest.raises(ArgumentError, match="give it to the method's dense"):
+        method.carve(temple.scene, lattice_of(temple.scene, 10), observer=object())  # type: ignore[arg-type]

@@ -134,7 +134,7 @@ def test_a_test_from_a_module_is_swept_and_known_again(tmp_path: Path, monkeypat
 
 def test_a_trial_is_what_the_test_does_alone(temple: recon3d.BuiltInScene, measured: recon3d.Comparison) -> None:
     names = [view.name for view in temple.scene.views]
-    assert measured.conditions["left_out"] == names[3::4]
+    assert measured.conditions["held_out"] == names[3::4]
     assert measured.conditions["views"] == [name for name in names if name not in names[3::4]]
     used = temple.scene.subset(measured.conditions["views"])
     for trial, test in zip(
@@ -200,18 +200,18 @@ def test_the_trade_off_is_precision_against_completeness_where_a_ground_truth_is
         assert len(axes.lines) == 1
 
 
-def test_views_that_are_left_out_do_not_change_the_result(temple: recon3d.BuiltInScene) -> None:
+def test_views_that_are_held_out_do_not_change_the_result(temple: recon3d.BuiltInScene) -> None:
     views = list(temple.scene.views)
     views[3] = replace(views[3], photograph=views[3].image[::-1].copy())
     spoilt = replace(temple.scene, views=tuple(views))
     a, b = (
-        recon3d.compare(scene, ["fuzzy"], settings=SETTINGS, leave_out=["view04*"]) for scene in (temple.scene, spoilt)
+        recon3d.compare(scene, ["fuzzy"], settings=SETTINGS, hold_out=["view04*"]) for scene in (temple.scene, spoilt)
     )
-    assert a.conditions["left_out"] == ["view04.png"]
+    assert a.conditions["held_out"] == ["view04.png"]
     assert a.trials[0].accepted == b.trials[0].accepted
     assert a.trials[0].median_error < b.trials[0].median_error  # type: ignore[operator]
-    none = recon3d.compare(temple.scene, ["fuzzy"], settings=replace(SETTINGS, max_views=3), leave_out=0)
-    assert (none.conditions["left_out"], len(none.conditions["views"])) == ([], 3)
+    none = recon3d.compare(temple.scene, ["fuzzy"], settings=replace(SETTINGS, max_views=3), hold_out=0)
+    assert (none.conditions["held_out"], len(none.conditions["views"])) == ([], 3)
     assert "views that the tests used" in none.markdown()
 
 
@@ -249,7 +249,7 @@ def test_other_inputs_are_another_trial(temple: recon3d.BuiltInScene, runs: list
         {},
         {"scene": replace(temple.scene, views=(replace(first, photograph=255 - first.image), *others))},
         {"scene": recon3d.without_silhouettes(temple.scene)},
-        {"leave_out": 5},
+        {"hold_out": 5},
         {"settings": replace(SETTINGS, n_voxels=5000)},
         {"accuracy_percent": 80.0},
         {"ground_truth": moved},
@@ -264,8 +264,8 @@ def test_other_inputs_are_another_trial(temple: recon3d.BuiltInScene, runs: list
     [
         ({"settings": recon3d.Settings(carving=recon3d.VisualHull())}, "visual-hull uses no photo-consistency test"),
         ({"settings": recon3d.Settings(carving=recon3d.VoxelColoring(Adaptive()))}, "expected a method with its own"),
-        ({"leave_out": 1}, "expected to leave out every view of 2 or more"),
-        ({"leave_out": ["*"]}, "expected views to be left for the tests"),
+        ({"hold_out": 1}, "expected to hold out every n-th view, n of 2 or more"),
+        ({"hold_out": ["*"]}, "expected views to be left for the tests"),
         ({"accuracy_percent": 80}, "expected a ground truth for accuracy_percent"),
     ],
 )

@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from recon3d.carving.item_buffer import SeenItems
+from recon3d.carving.observations import mean_color
 from recon3d.errors import ArgumentError
 from recon3d.kernels.brick_rays import GONE, NOT_ENTERED, advance_bricks
 from recon3d.kernels.bricks import BRICK, SOLID, exposed_bricks
-from recon3d.kernels.ragged import mean_colors
 from recon3d.scene.packed import PackedViews
 from recon3d.volume.dense import CarvingVolume
 from recon3d.volume.lattice import BAND, Lattice, check_memory
@@ -113,10 +113,8 @@ class Bricks:
         buffer.fit()
         visible = buffer.visible()
         patches = buffer.patches(visible)
-        means = np.empty((len(visible), 3), np.uint8)
-        mean_colors(patches.colors, patches.starts, means)
         colors = np.zeros((*self.occupied.shape, 3), np.uint8)
-        colors.reshape(-1, 3)[visible] = means
+        colors.reshape(-1, 3)[visible] = mean_color(patches)
         volume = SparseVolume(
             self.origin, self.size, (int(self.shape[0]), int(self.shape[1]), int(self.shape[2])), self.slots,
             self.occupied, buffer.visible_mask().reshape(self.occupied.shape), colors, self._full_distance(),

@@ -107,7 +107,7 @@ class _SparseState:
         return np.asarray(self.bricks.origin + self.voxel_size * (indices + 0.5))
 
     def note(self, voxels: NDArray[np.int64], patches: Patches, verdict: Verdict) -> None:  # noqa: ARG002
-        self.consistent[voxels] = verdict.degree >= verdict.high
+        self.consistent[voxels] = verdict.consistent
 
     def unsupported(self) -> NDArray[np.int64]:
         visible = self.buffer.visible_mask()

@@ -133,7 +133,7 @@ def _rejected(state: CarvingState, test: ConsistencyTest, voxels: NDArray[np.int
     patches = state.patches(voxels)
     verdict = judge(test, patches, state.centers(voxels), state.voxel_size, state.views)
     state.note(voxels, patches, verdict)
-    return voxels[(verdict.degree < verdict.high) & (verdict.degree <= verdict.low)]
+    return voxels[verdict.inconsistent]
 
 
 def all_carved(scene: Scene, test: ConsistencyTest, started: int, counts: str) -> EmptyReconstructionError:
@@ -167,12 +167,12 @@ class _DenseState:
         return np.stack(np.unravel_index(voxels, self.occupied.shape), axis=1)
 
     def centers(self, voxels: NDArray[np.int64]) -> NDArray[np.float64]:
-        return np.asarray(self.hull.volume.origin + self.voxel_size * (self.indices(voxels) + 0.5))
+        return self.hull.lattice.centers(self.indices(voxels))
 
     def note(self, voxels: NDArray[np.int64], patches: Patches, verdict: Verdict) -> None:
         self.hull.degree.ravel()[voxels] = verdict.degree
         self.hull.n_views.ravel()[voxels] = patches.n_views
-        self.consistent[voxels] = verdict.degree >= verdict.high
+        self.consistent[voxels] = verdict.consistent
         if self.observer:
             self.observer.judged(self.indices(voxels), patches, verdict, self._seeing)
 

@@ -9,6 +9,7 @@ from recon3d.consistency.base import ConsistencyTest, Patches, Verdict
 from recon3d.consistency.spec import ask
 from recon3d.kernels.footprints import carve_background as clear_background
 from recon3d.kernels.footprints import free_pixels, gather, mark
+from recon3d.kernels.ragged import mean_colors
 from recon3d.kernels.rays import observe
 from recon3d.kernels.windows import sample_windows
 from recon3d.scene.packed import PackedViews
@@ -58,6 +59,13 @@ def starts_of(counts: NDArray[np.int64]) -> NDArray[np.int64]:
 def carve_background(views: PackedViews, occupied: NDArray[np.bool_], volume: CarvingVolume) -> None:
     """Clear the voxels (nx, ny, nz) whose footprint, wholly in some image, holds background alone."""
     clear_background(occupied, volume.origin, volume.voxel_size, views.projections, views.sizes, views.integrals)
+
+
+def mean_color(patches: Patches) -> NDArray[np.uint8]:
+    """(n_voxels, 3) RGB mean of each voxel's pixels, all views together."""
+    means = np.empty((patches.n_voxels, 3), np.uint8)
+    mean_colors(patches.colors, patches.starts, means)
+    return means
 
 
 def judge(

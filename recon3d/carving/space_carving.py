@@ -8,16 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from recon3d.carving.hysteresis import CANDIDATE, neighbour_offsets
+from recon3d.carving.hysteresis import keep_connected, label_voxels, neighbour_offsets
 from recon3d.carving.method import JudgingMethod
-from recon3d.carving.observations import carve_background, judge, starts_of
+from recon3d.carving.observations import carve_background, judge, mean_color, starts_of
 from recon3d.carving.observer import Observer, Voxel
 from recon3d.carving.start import clear_around_cameras
 from recon3d.checks import require_whole
 from recon3d.consistency.base import ConsistencyTest, Patches, Verdict
 from recon3d.errors import EmptyReconstructionError
-from recon3d.kernels.lattice import grow_consistent
-from recon3d.kernels.ragged import mean_colors
 from recon3d.kernels.sweeps import claim, gather_visible, visible_pixels
 from recon3d.scene.packed import PackedViews
 from recon3d.scene.scene import Scene
@@ -169,7 +167,7 @@ class _Carving:
             bare = _surface_of_layer(self.occupied, axis, index)[tuple(np.delete(voxels, axis, 1).T)]
             judged = np.flatnonzero(in_sweep & bare)
             _, _, verdict = self._judge(voxels[judged])
-            failed = judged[_fails(verdict)]
+            failed = judged[verdict.inconsistent]
             self.occupied[tuple(voxels[failed].T)] = False
             self.hull.set_labels(voxels[failed], Label.INCONSISTENT)
             # Inner voxels claim pixels too: otherwise baring one would hide others that were seen before.
@@ -189,20 +187,12 @@ class _Carving:
         candidates = []
         for batch in _batches(surface):
             shown, patches, verdict = self._judge(batch)
-            consistent = verdict.degree >= verdict.high
-            failed = _fails(verdict)
-            hull.set_labels(shown[failed], Label.INCONSISTENT)
-            hull.set_labels(shown[consistent], Label.CONSISTENT)
-            hull.set_labels(shown[~consistent & ~failed], CANDIDATE)
-            candidates.append(shown[~consistent & ~failed])
-            means = np.empty((len(shown), 3), np.uint8)
-            mean_colors(patches.colors, patches.starts, means)
-            hull.volume.colors[tuple(shown.T)] = means
+            candidates.append(label_voxels(hull.labels, shown, verdict))
+            hull.volume.colors[tuple(shown.T)] = mean_color(patches)
         if self.observer:
             self.observer.resolving(hull.labels)
         if candidates:
-            grow_consistent(hull.labels, np.concatenate(candidates), offsets, CANDIDATE, int(Label.CONSISTENT))
-        hull.labels[hull.labels == CANDIDATE] = Label.INCONSISTENT
+            keep_connected(hull.labels, np.concatenate(candidates), offsets)
         carved = self.occupied & (hull.labels == Label.INCONSISTENT)
         self.occupied &= ~carved
         return int(np.count_nonzero(carved))
@@ -243,8 +233,8 @@ class _Carving:
             self.views.images, colors,
         )  # fmt: skip
         patches = Patches(colors, view_starts)
-        origin, size = self.hull.volume.origin, self.hull.volume.voxel_size
-        verdict = judge(self.test, patches, origin + size * (voxels + 0.5), size, self.views)
+        lattice = self.hull.lattice
+        verdict = judge(self.test, patches, lattice.centers(voxels), lattice.voxel_size, self.views)
         self.hull.record(voxels, verdict.degree, patches.n_views)
         if self.observer:
             self.observer.judged(voxels, patches, verdict, self._showing)
@@ -258,11 +248,6 @@ class _Carving:
         first = np.take_along_axis(self.first_layers, self.sweep_of.reshape(len(self.sweep_of), -1), axis=1)
         seen = (first.reshape(self.sweep_of.shape) <= layers[self.sweep_of]) & (layers[self.sweep_of] <= self.claimed)
         return np.asarray((self.sweep_of >= 0) & seen)
-
-
-def _fails(verdict: Verdict) -> NDArray[np.bool_]:
-    """Which voxels are carved at once; where both thresholds are one, reaching it is enough to stay."""
-    return (verdict.degree <= verdict.low) & (verdict.degree < verdict.high)
 
 
 def _batches(mask: NDArray[np.bool_]) -> Iterator[NDArray[np.int64]]:

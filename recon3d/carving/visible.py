@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recon3d.carving.item_buffer import ItemBuffer
-from recon3d.kernels.ragged import mean_colors
+from recon3d.carving.observations import mean_color
 from recon3d.volume.carved import CarvedVolume, Label
 
 
@@ -15,9 +15,7 @@ def color_visible(hull: CarvedVolume, buffer: ItemBuffer, occupied: NDArray[np.b
     buffer.advance(occupied)
     visible = buffer.visible()
     patches = buffer.patches(visible)
-    means = np.empty((len(visible), 3), np.uint8)
-    mean_colors(patches.colors, patches.starts, means)
     voxels = np.column_stack(np.unravel_index(visible, occupied.shape))
     hull.n_views[tuple(voxels.T)] = patches.n_views
     hull.set_labels(voxels, Label.CONSISTENT)
-    hull.accept(voxels, means)
+    hull.accept(voxels, mean_color(patches))

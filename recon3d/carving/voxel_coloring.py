@@ -9,15 +9,13 @@ from typing import ClassVar, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from recon3d.carving.hysteresis import CANDIDATE, neighbour_offsets
+from recon3d.carving.hysteresis import keep_connected, label_voxels, neighbour_offsets
 from recon3d.carving.method import JudgingMethod
-from recon3d.carving.observations import UnclaimedPixels, carve_background, judge
+from recon3d.carving.observations import UnclaimedPixels, carve_background, judge, mean_color
 from recon3d.carving.observer import Observer
 from recon3d.carving.visibility import require_sweep_direction
 from recon3d.checks import require_choice
 from recon3d.errors import EmptyReconstructionError
-from recon3d.kernels.lattice import grow_consistent
-from recon3d.kernels.ragged import mean_colors
 from recon3d.scene.scene import Scene
 from recon3d.tasks import Progress
 from recon3d.volume.carved import CarvedVolume, Label
@@ -76,7 +74,7 @@ class VoxelColoring(JudgingMethod):
         EmptyReconstructionError : every voxel was carved.
         """
         volume = CarvingVolume.full(volume)
-        offsets = neighbour_offsets(self.connectivity)
+        lattice, offsets = volume.lattice, neighbour_offsets(self.connectivity)
         direction = require_sweep_direction(scene, volume.bounds).direction
         views, unclaimed = scene.packed, UnclaimedPixels(scene.packed, volume)
 
@@ -87,32 +85,27 @@ class VoxelColoring(JudgingMethod):
 
         layers = list(near_to_far(occupied, direction, self.layering))
         for n, layer in enumerate(layers):
+            # P_j(v) = B_j(v) minus marked_j (eq. 5)
             boxes, counts, in_frame = unclaimed.footprints(layer)
             visible = counts.any(axis=1)
             hull.set_labels(layer[~visible & in_frame], Label.HIDDEN)
-
-            shown, boxes = layer[visible], boxes[visible]
+            voxels, boxes = layer[visible], boxes[visible]
             patches = unclaimed.patches(boxes, counts[visible])
-            verdict = judge(
-                self.test, patches, volume.origin + volume.voxel_size * (shown + 0.5), volume.voxel_size, views
-            )
-            hull.record(shown, verdict.degree, patches.n_views)
-            if observer:
-                observer.judged(shown, patches, verdict, lambda _: unclaimed.mask)
 
-            consistent = verdict.degree >= verdict.high
-            candidate = ~consistent & (verdict.degree > verdict.low)
-            hull.set_labels(shown[consistent], Label.CONSISTENT)
-            hull.set_labels(shown[candidate], CANDIDATE)
+            # mu(v), T_low and T_high, for the paper's test (eq. 7 and 9)
+            verdict = judge(self.test, patches, lattice.centers(voxels), lattice.voxel_size, views)
+            hull.record(voxels, verdict.degree, patches.n_views)
+            if observer:
+                observer.judged(voxels, patches, verdict, lambda _: unclaimed.mask)
+
+            # Hysteresis (eq. 8)
+            candidates = label_voxels(hull.labels, voxels, verdict)
             if observer:
                 observer.resolving(hull.labels)
-            grow_consistent(hull.labels, shown[candidate], offsets, CANDIDATE, int(Label.CONSISTENT))
+            keep_connected(hull.labels, candidates, offsets)
 
-            accepted = hull.labels[tuple(shown.T)] == Label.CONSISTENT
-            hull.set_labels(shown[~accepted], Label.INCONSISTENT)
-            means = np.empty((len(shown), 3), np.uint8)
-            mean_colors(patches.colors, patches.starts, means)
-            hull.accept(shown[accepted], means[accepted])
+            accepted = hull.labels[tuple(voxels.T)] == Label.CONSISTENT
+            hull.accept(voxels[accepted], mean_color(patches)[accepted])
             unclaimed.claim(boxes[accepted])
             if progress:
                 progress(n + 1, len(layers))

@@ -105,6 +105,21 @@ class Verdict:
         if not (self.low <= self.high).all():
             raise ArgumentError("expected low <= high for every voxel")
 
+    @property
+    def consistent(self) -> NDArray[np.bool_]:
+        """(n_voxels,) accepted at once."""
+        return np.asarray(self.degree >= self.high)
+
+    @property
+    def inconsistent(self) -> NDArray[np.bool_]:
+        """(n_voxels,) carved at once."""
+        return np.asarray((self.degree <= self.low) & ~self.consistent)
+
+    @property
+    def candidate(self) -> NDArray[np.bool_]:
+        """(n_voxels,) for the hysteresis to decide."""
+        return np.asarray((self.degree > self.low) & ~self.consistent)
+
 
 @runtime_checkable
 class ConsistencyTest(Protocol):

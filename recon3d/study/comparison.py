@@ -58,7 +58,7 @@ class Comparison(Summarised):
     """What every test made of the same views of the same volume."""
 
     conditions: dict[str, Any]
-    """What was the same for all: scene, settings, names of the views used and of those left out, for a JSON file."""
+    """What was the same for all: scene, settings, names of the views used and of those held out, for a JSON file."""
     trials: tuple[Trial, ...]
     sheet: NDArray[np.uint8]
     """(height, width, 3) RGB contact sheet: the photographs, and what each test made of them from the same cameras."""
@@ -131,8 +131,8 @@ class Comparison(Summarised):
         return f"{c['scene']}, {c['settings']['carving']['name']}, {len(c['views'])} views, {c['voxels']:,} voxels"
 
     def _notes(self) -> str:
-        left_out = self.conditions["left_out"]
-        measured = f"views left out ({', '.join(left_out)})" if left_out else "views that the tests used"
+        held_out = self.conditions["held_out"]
+        measured = f"views held out ({', '.join(held_out)})" if held_out else "views that the tests used"
         notes = (
             f"Re-projection errors in grey levels, and overlap with the silhouettes, by the {measured}. "
             "Accepted: voxels; holes: handles and rims of the mesh; floating: pieces beside the largest, small "
@@ -155,7 +155,7 @@ def compare(
     settings: Settings | None = None,
     ground_truth: o3d.geometry.TriangleMesh | o3d.geometry.PointCloud | None = None,
     sweep: Sweep | None = None,
-    leave_out: int | Sequence[str] = 4,
+    hold_out: int | Sequence[str] = 4,
     folder: Path | str | None = None,
     progress: Progress | None = None,
     **options: Any,
@@ -171,9 +171,9 @@ def compare(
     settings : all but the test; voxel colouring of a million voxels when None.
     ground_truth : in the scene's frame; accuracy, completeness and precision are measured against it.
     sweep : a parameter and its values; tests that have it are run with each, the others once.
-    leave_out : every so-maniest of the views that the method admits is kept from the tests, and the re-projection error
-        measured on those: how well a result predicts what it was not made of. 0: none, and the error is measured on the
-        views used. Or the names of the views. ``settings.max_views`` counts what is left.
+    hold_out : hold out every n-th of the views that the method admits, and measure the re-projection error on those:
+        how well a result predicts what it was not made of. 0: none, and the error is measured on the views used. Or
+        the names of the views. ``settings.max_views`` counts what is left.
     folder : where each finished test is kept, in ``trials``; one that is there, of the same inputs, is not run again.
         The source of a test counts as input; of one that is made in ``__main__`` nothing is kept.
     options : passed to ``evaluate``, such as ``valid``.
@@ -184,7 +184,7 @@ def compare(
     VisibilityError, VolumeTooLargeError : as in ``reconstruct``.
     """
     entries = expand_variants(tests, sweep)
-    setup = set_up_trials(scene, settings, leave_out, ground_truth, options)
+    setup = set_up_trials(scene, settings, hold_out, ground_truth, options)
     kept = _Kept(Path(folder) / "trials", setup.fingerprint()) if folder is not None else None
     report = progress or (lambda _stage, _done, _total: None)
     trials, rows = [], [setup.row("photographs", [view.image for view in setup.shown.views])]

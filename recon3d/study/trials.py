@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -30,7 +28,7 @@ from recon3d.settings import Settings, choose_views, method_name
 from recon3d.study.memory import peak_memory
 from recon3d.study.variants import Variant
 from recon3d.summary import labelled_row
-from recon3d.tasks import code_fingerprint
+from recon3d.tasks import content_key
 from recon3d.volume.lattice import Lattice
 
 PICTURE_WIDTH = 200
@@ -81,7 +79,7 @@ class TrialSetup:
     """What is the same for all tests."""
 
     used: Scene
-    left_out: tuple[View, ...]
+    held_out: tuple[View, ...]
     shown: Scene
     """Views of the contact sheet."""
     settings: Settings
@@ -127,8 +125,8 @@ class TrialSetup:
     def _measured(self, entry: Variant, result: Reconstruction, memory_mib: float | None) -> Trial:
         """Figures of a reconstruction."""
         quality = result.quality
-        if self.left_out:
-            quality = measure_quality(result.mesh, replace(self.used, views=self.left_out))
+        if self.held_out:
+            quality = measure_quality(result.mesh, replace(self.used, views=self.held_out))
         photographs, shape = quality.overall, quality.shape
         trial = Trial(
             entry.label,
@@ -166,7 +164,7 @@ class TrialSetup:
             "settings": plain,
             "voxels": self.voxels,
             "views": [view.name for view in self.used.views],
-            "left_out": [view.name for view in self.left_out],
+            "held_out": [view.name for view in self.held_out],
             "evaluation": None
             if self.ground_truth is None
             else {
@@ -176,23 +174,21 @@ class TrialSetup:
         }
 
     def fingerprint(self) -> str:
-        """Text that two contests share only where every test would find the same in both."""
-        digest = hashlib.sha256(json.dumps(self.record(), sort_keys=True, default=str).encode())
-        digest.update(code_fingerprint().encode())
-        for views in filter(None, (self.used.views, self.left_out, self.shown.views)):
-            digest.update(replace(self.used, views=views).fingerprint().encode())
+        """Hash of all inputs that affect the result of a trial, but the test."""
+        scenes = [
+            replace(self.used, views=views) for views in (self.used.views, self.held_out, self.shown.views) if views
+        ]
         truth: Any = self.ground_truth
-        shape = [getattr(truth, name) for name in ("vertices", "triangles", "points") if hasattr(truth, name)]
-        options = [part for item in sorted(self.options.items()) if item[1] is not None for part in item]
-        for part in (*shape, *options):
-            digest.update(np.asarray(part).tobytes())
-        return digest.hexdigest()
+        shape = [
+            np.asarray(getattr(truth, name)) for name in ("vertices", "triangles", "points") if hasattr(truth, name)
+        ]
+        return content_key(self.record(), scenes, shape, self.options)
 
 
 def set_up_trials(
     scene: Scene,
     settings: Settings | None,
-    leave_out: int | Sequence[str],
+    hold_out: int | Sequence[str],
     ground_truth: o3d.geometry.TriangleMesh | o3d.geometry.PointCloud | None,
     options: Mapping[str, Any],
 ) -> TrialSetup:
@@ -207,16 +203,16 @@ def set_up_trials(
         raise ArgumentError(f"expected a ground truth for {', '.join(options)}")
     resolved = replace(settings, carving=method).resolved(scene)
     admitted = choose_views(scene, replace(resolved, max_views=None))
-    left_out = _left_out(scene, admitted, leave_out)
-    names = [view.name for view in left_out]
+    held_out = _held_out(scene, admitted, hold_out)
+    names = [view.name for view in held_out]
     rest = tuple(view for view in admitted.views if view.name not in names)
     if not rest:
-        raise ArgumentError(f"expected views to be left for the tests, got all of {', '.join(names)} left out")
+        raise ArgumentError(f"expected views to be left for the tests, got all of {', '.join(names)} held out")
     used = spread_views(replace(admitted, views=rest), resolved.max_views or len(rest))
     chosen = np.unique(np.linspace(0, len(admitted.views) - 1, min(_SHOWN, len(admitted.views))).round().astype(int))
     return TrialSetup(
         used,
-        left_out,
+        held_out,
         replace(admitted, views=tuple(admitted.views[n] for n in chosen)),
         replace(resolved, views="all", max_views=None),
         method,
@@ -226,10 +222,10 @@ def set_up_trials(
     )
 
 
-def _left_out(scene: Scene, admitted: Scene, leave_out: int | Sequence[str]) -> tuple[View, ...]:
+def _held_out(scene: Scene, admitted: Scene, hold_out: int | Sequence[str]) -> tuple[View, ...]:
     """Views that no test is to see."""
-    if not isinstance(leave_out, int):
-        return scene.subset(leave_out).views
-    if leave_out < 0 or leave_out == 1:
-        raise ArgumentError(f"expected to leave out every view of 2 or more, 0 (none) or names, got {leave_out}")
-    return admitted.views[leave_out - 1 :: leave_out] if leave_out else ()
+    if not isinstance(hold_out, int):
+        return scene.subset(hold_out).views
+    if hold_out < 0 or hold_out == 1:
+        raise ArgumentError(f"expected to hold out every n-th view, n of 2 or more, 0 (none) or names, got {hold_out}")
+    return admitted.views[hold_out - 1 :: hold_out] if hold_out else ()

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from recon3d.checks import require_number, require_whole
 from recon3d.errors import ArgumentError, VolumeTooLargeError
 from recon3d.scene.bounds import Bounds
+from recon3d.values import ByContent
 
 BYTES_PER_VOXEL = 80
 """Peak memory of carving and meshing, measured on full volumes, rounded up."""
@@ -22,7 +23,7 @@ BAND = 3.0
 
 
 @dataclass(frozen=True, eq=False)
-class Lattice:
+class Lattice(ByContent):
     """Where voxels lie: voxel (i, j, k) spans ``origin + voxel_size * (i, j, k)`` to the same of (i+1, j+1, k+1)."""
 
     origin: NDArray[np.float64]
@@ -71,6 +72,10 @@ class Lattice:
     def bounds(self) -> Bounds:
         """Box of the whole lattice, world units."""
         return Bounds(self.origin, self.origin + self.voxel_size * np.array(self.shape))
+
+    def centers(self, voxels: NDArray[np.int64]) -> NDArray[np.float64]:
+        """(n, 3) world centres of voxels (n, 3)."""
+        return self.origin + self.voxel_size * (voxels + 0.5)
 
     def check_memory(self, bytes_per_voxel: float = BYTES_PER_VOXEL) -> None:
         """Refuse to store every voxel where that needs more memory than is free; see ``check_memory``."""

@@ -34,7 +34,7 @@ def command(
     ] = None,
     views: options.Views = "auto",
     max_views: Annotated[
-        int | None, typer.Option(help="At most so many views, after those left out.", rich_help_panel=INPUT)
+        int | None, typer.Option(help="At most so many views, after those held out.", rich_help_panel=INPUT)
     ] = None,
     silhouettes: options.Silhouettes = "auto",
     bounds: options.Bounds = None,
@@ -43,7 +43,7 @@ def command(
         int, typer.Option("--voxels", help="Approximate number of voxels.", rich_help_panel=CARVING)
     ] = 1_000_000,
     method: options.Method = "voxel-coloring",
-    leave_out: Annotated[
+    hold_out: Annotated[
         str,
         typer.Option(
             metavar="N|NAME,NAME",
@@ -98,7 +98,7 @@ def command(
             chosen,
             settings=settings,
             sweep=swept,
-            leave_out=int(leave_out) if leave_out.isdigit() else names_of(leave_out),
+            hold_out=int(hold_out) if hold_out.isdigit() else names_of(hold_out),
             folder=folder,
             progress=report,
             **measuring,
