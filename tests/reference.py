@@ -174,8 +174,9 @@ def color_voxels(
 
 
 def layers(voxels: list[Voxel], direction: NDArray[np.float64], layering: str) -> list[list[Voxel]]:
-    """Voxels near to far: in slabs one voxel thick from the nearest one, or one by one."""
-    depth = {voxel: sum(float(direction[axis]) * voxel[axis] for axis in range(3)) for voxel in voxels}
+    """Voxels near to far, equally far ones by index: in slabs one voxel thick from the nearest one, or one by one."""
+    # Up to the last bits of the direction, which must not part a lattice plane.
+    depth = {voxel: round(sum(float(direction[axis]) * voxel[axis] for axis in range(3)), 6) for voxel in voxels}
     near_to_far = sorted(voxels, key=depth.__getitem__)
     if layering == "voxels":
         return [[voxel] for voxel in near_to_far]

@@ -17,7 +17,7 @@ from recon3d.consistency.base import Patches, Verdict
 from recon3d.consistency.deviation import StandardDeviation
 from recon3d.consistency.fuzzy import FuzzyAdaptiveHysteresis
 from recon3d.datasets.synthetic import BuiltInScene, ring
-from recon3d.errors import EmptyReconstructionError, VisibilityError
+from recon3d.errors import EmptyReconstructionError, FailedTestError, VisibilityError
 from recon3d.evaluation.distances import distance_to_mesh
 from recon3d.scene.bounds import Bounds
 from recon3d.scene.scene import Scene
@@ -225,7 +225,7 @@ def test_progress_ends_at_the_total_and_never_goes_back(temple: BuiltInScene) ->
 
 def test_no_rounds_are_refused() -> None:
     scene = photographs(ball_mesh())
-    with pytest.raises(ValueError, match="expected max_rounds of at least 1, got 0"):
+    with pytest.raises(ValueError, match="expected max_rounds to be a whole number of at least 1, got 0"):
         SpaceCarving(max_rounds=0).carve(scene, full_volume((2, 2, 2)))
 
 
@@ -234,5 +234,5 @@ def test_a_test_that_judges_another_number_of_voxels_is_refused() -> None:
         return Verdict(np.ones(1), np.ones(1), np.ones(1))
 
     scene = photographs(ball_mesh())
-    with pytest.raises(ValueError, match="judged 1 voxels of"):
+    with pytest.raises(FailedTestError, match="judged 1 voxels of"):
         SpaceCarving(too_few).carve(scene, CarvingVolume.enclosing(scene.bounds, n_voxels=500))
