@@ -64,7 +64,7 @@ class Settings:
     def _check_views(self) -> None:
         """Refuse what names no views, and a limit on views that are all named."""
         if self.views not in ("auto", "all"):
-            if isinstance(self.views, str) or not all(isinstance(name, str) for name in self.views) or not self.views:
+            if not _holds(self.views, str) or not self.views:
                 raise ArgumentError(f"expected views 'auto', 'all' or a tuple of names, got {self.views!r}")
             object.__setattr__(self, "views", tuple(self.views))
         if self.max_views is not None:
@@ -76,7 +76,7 @@ class Settings:
         """Refuse what is no sequence of passes."""
         if self.matching is None or self.matching == "auto":
             return
-        if isinstance(self.matching, str | Matching) or not all(isinstance(each, Matching) for each in self.matching):
+        if not _holds(self.matching, Matching):
             raise ArgumentError(f"expected matching 'auto', None or a tuple of Matching, got {self.matching!r}")
         if not self.matching:
             raise ArgumentError("expected one or more passes of matching, or None for no matching, got ()")
@@ -89,7 +89,7 @@ class Settings:
         if self.meshing.fill_hidden and (self.carving is None or not self.carving.one_sided):
             raise ArgumentError(
                 "fill_hidden: expected a one-sided carving method such as VoxelColoring, whose accepted voxels are a "
-                "shell; the mesh of all others is solid anyhow"
+                "shell; the mesh of every other is solid anyway"
             )
         voxels = self.matching is None or (self.matching == "auto" and self.carving is not None)
         if voxels and self.meshing.surface != "poisson":
@@ -159,12 +159,14 @@ class Settings:
         Raises
         ------
         ArgumentError : a setting is not known or has no possible value, or the recorded test is none of a user's own.
-        DataError : the recorded test is a user's own and was not named.
+        DataError : it is no record, or the recorded test is a user's own and was not named.
 
         Warns
         -----
         UserWarning : the user's own test has another name than the recorded one.
         """
+        if not isinstance(record, Mapping):
+            raise DataError(f"expected settings by name, got {record!r}")
         unknown = set(record) - {setting.name for setting in fields(cls)}
         if unknown:
             raise ArgumentError(f"unknown settings {', '.join(sorted(unknown))}")
@@ -183,6 +185,11 @@ class Settings:
         if test is not None and not used:
             raise ArgumentError(f"expected no test, since the record tells of none of a user's own, got {test}")
         return settings
+
+
+def _holds(value: object, kind: type) -> bool:
+    """Whether a value is a tuple or list of one kind."""
+    return isinstance(value, tuple | list) and all(isinstance(each, kind) for each in value)
 
 
 def method_name(method: Method) -> str:

@@ -15,6 +15,7 @@ import pytest
 
 import recon3d
 from recon3d import cli
+from recon3d.cli.arguments import record_of
 from recon3d.stereo.refinement import PASSES
 
 
@@ -309,5 +310,13 @@ def test_two_units_are_told_from_a_bad_result(temple: recon3d.BuiltInScene, resu
 
 def test_a_record_that_is_none_names_its_file(result: Path, tmp_path: Path) -> None:
     shutil.copy(result / "mesh.ply", tmp_path)
-    (tmp_path / "record.json").write_text("{}")
+    record = json.loads((result / "record.json").read_text())
+    for change in ({"views": 3}, {"bounds": [1, 2]}, {"bounds": None}, {"mm_per_unit": "metres"}, {"views": None}):
+        (tmp_path / "record.json").write_text(json.dumps({**record, "scene": {**record["scene"], **change}}))
+        with pytest.raises(recon3d.DataError, match="expected the record of a run"):
+            record_of(tmp_path)
+    for text in ("{}", "[]", "3", "{", '{"scene": 3}'):
+        (tmp_path / "record.json").write_text(text)
+        with pytest.raises(recon3d.DataError, match="expected the record of a run"):
+            record_of(tmp_path)
     assert f"{tmp_path / 'record.json'}: expected the record of a run" in run("render", tmp_path, expect=1).stderr

@@ -244,6 +244,14 @@ def test_nothing_that_only_a_record_names_is_imported_or_called(name: str, aroun
     assert not marker.exists()
 
 
+@pytest.mark.parametrize(
+    "record", [[], "settings", 3, {"meshing": 3}, {"meshing": []}, {"matching": [3]}, {"carving": 3}]
+)
+def test_what_is_no_record_of_settings_is_refused(record: object) -> None:
+    with pytest.raises((DataError, ArgumentError)):
+        Settings.from_record(record)  # type: ignore[arg-type]
+
+
 def test_what_is_no_record_of_a_test_is_refused() -> None:
     for test in ("fuzzy", None, 3, {}, {"name": "fuzzy"}, {"name": "fuzzy", "options": []}, {"name": ["fuzzy"]}):
         with pytest.raises((DataError, ArgumentError)):

@@ -60,6 +60,8 @@ def test_every_method_copies_compares_hashes_pickles_and_records_itself(
     [
         ({"views": "some"}, "expected views 'auto', 'all' or a tuple of names, got 'some'"),
         ({"views": ()}, "expected views"),
+        ({"views": 3}, "expected views"),
+        ({"matching": 3}, "expected matching"),
         ({"views": "all", "max_views": 3}, "expected views 'auto' with max_views=3, got 'all'"),
         ({"views": ("a",), "max_views": 3}, "expected views 'auto' with max_views=3"),
         ({"max_views": 0}, "expected max_views to be a whole number of at least 1, got 0"),

@@ -180,13 +180,17 @@ def record_of(result: Path) -> dict[str, Any] | None:
     try:
         record: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
         scene = record["scene"]
-        return {name: scene[name] for name in ("views", "bounds", "mm_per_unit")} | {
-            "source": scene.get("source"),
-            "silhouettes": scene.get("silhouettes from", "auto"),
+        low, high = scene["bounds"]
+        return {
+            "views": [str(name) for name in scene["views"]],
+            "bounds": [float(x) for corner in (low, high) for x in corner],
+            "mm_per_unit": float(scene["mm_per_unit"]),
+            "source": None if scene.get("source") is None else str(scene["source"]),
+            "silhouettes": str(scene.get("silhouettes from", "auto")),
             "settings": record.get("settings"),
-            "voxels": record.get("voxels"),
+            "voxels": dict(record.get("voxels") or {}),
         }
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise DataError(f"{file}: expected the record of a run, got something else ({error!r})") from None
 
 
@@ -196,7 +200,7 @@ def recorded_scene(result: Path, record: dict[str, Any] | None, *, silhouettes: 
 
     if record is None or record["source"] is None:
         raise DataError(f"{result}: no record says which scene this was made of{hint}")
-    box = None if record["source"] in SCENES else ",".join(str(x) for corner in record["bounds"] for x in corner)
+    box = None if record["source"] in SCENES else ",".join(map(str, record["bounds"]))
     return load(record["source"], box, silhouettes, record["mm_per_unit"]).subset(record["views"])
 
 

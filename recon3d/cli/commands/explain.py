@@ -58,7 +58,7 @@ def command(
         found = explain_voxel(scene, settings, at=place, pixel=clicked, checkpoints=kept)
         report("carving", 1, 1)
     kept_voxels = ("consistent", "hidden")
-    if record and any(record["voxels"][name] != found.carved.counts()[name] for name in kept_voxels):
+    if record and any(record["voxels"].get(name) != found.carved.counts()[name] for name in kept_voxels):
         warnings.warn(f"{result}: carved once more, other voxels are left than recorded; data or program have changed",
                       stacklevel=1)  # fmt: skip
     name = "voxel_" + "_".join(map(str, found.voxel)) + ".png"
