@@ -13,7 +13,7 @@ from scenes import plain_view, transformed
 from recon3d.errors import SceneError
 from recon3d.rendering.orbit import look_at
 from recon3d.scene.bounds import Bounds
-from recon3d.scene.neighbours import matching_neighbours
+from recon3d.scene.neighbours import matching_neighbours, overlapping_neighbours
 from recon3d.scene.scene import Scene
 
 MIDDLE = np.array([0.3, -0.2, 0.5])
@@ -92,4 +92,21 @@ def test_a_camera_in_the_middle_of_the_bounds_has_no_neighbours() -> None:
     pose = np.eye(4)
     pose[:3, 3] = -MIDDLE
     inside = plain_view(cam_from_world=pose, width=8, height=6, name="inside")
-    assert matching_neighbours(replace(scene, views=(*scene.views, inside))) == [[1], [0], []]
+    scene = replace(scene, views=(*scene.views, inside))
+    assert matching_neighbours(scene) == [[1], [0], []]
+    assert overlapping_neighbours(scene).tolist() == [[1], [0], [-1]]
+
+
+def test_views_overlap_up_to_a_right_angle_and_the_nearest_come_first() -> None:
+    scene = on_an_arc([0, 10, 30, 80, 89, 91, 180])
+    assert overlapping_neighbours(scene)[0].tolist() == [1, 2, 3, 4, -1]
+    assert overlapping_neighbours(scene)[6].tolist() == [5, -1, -1, -1, -1]
+    assert overlapping_neighbours(on_an_arc([0, 120])).shape == (2, 0)
+
+
+def test_of_many_that_overlap_some_from_near_to_far_are_asked() -> None:
+    scene = on_an_arc(np.arange(120))
+    asked = overlapping_neighbours(scene, most=10)
+    assert asked.shape == (120, 10)
+    assert asked[0].tolist() == [1, 11, 21, 31, 41, 50, 60, 70, 80, 90]
+    assert all(len(set(row)) == 10 and n not in row for n, row in enumerate(asked.tolist()))

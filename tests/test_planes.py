@@ -310,10 +310,10 @@ def test_planes_are_averaged_with_those_that_agree(
     points, means, colors = np.zeros((3, *planes.shape))
     support = np.zeros(depths.shape)
     agreeing, contradicting = np.zeros((2, *depths.shape), np.int64)
-    views = scene.packed
+    views, asked = scene.packed, np.array([[1, 2, 3], [3, 2, 0], [0, 1, 3], [0, 1, 2]])
     average_planes(
         views.projections, views.centers, views.world_from_pixel, views.images, views.sizes, planes, normals, weights,
-        STRIDE, 0.1, 0.8, points, means, colors, support, agreeing, contradicting,
+        asked, STRIDE, 0.1, 0.8, points, means, colors, support, agreeing, contradicting,
     )  # fmt: skip
     for place in map(tuple, np.argwhere(weights > 0)):
         point, normal, color, weight, n_agreeing, n_contradicting = average_twin(

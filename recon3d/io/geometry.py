@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 import open3d as o3d
-import trimesh
 from numpy.typing import NDArray
 
 from recon3d.errors import ArgumentError, DataError
 from recon3d.io.files import atomic_path
+
+if TYPE_CHECKING:  # it takes a second to import, and PLY files need none
+    import trimesh
 
 Shape = TypeVar("Shape", bound=o3d.geometry.TriangleMesh | o3d.geometry.PointCloud)
 Geometry = o3d.geometry.TriangleMesh | o3d.geometry.PointCloud | o3d.geometry.VoxelGrid
@@ -205,6 +207,8 @@ def _eight_bits(colors: o3d.utility.Vector3dVector) -> NDArray[np.uint8]:
 
 def _to_trimesh(mesh: o3d.geometry.TriangleMesh) -> trimesh.Trimesh:
     """The same mesh, vertex by vertex, with 8-bit colours."""
+    import trimesh
+
     return trimesh.Trimesh(
         np.asarray(mesh.vertices),
         np.asarray(mesh.triangles),

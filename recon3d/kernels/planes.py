@@ -315,6 +315,7 @@ def average_planes(
     planes: NDArray[np.float32],
     normals: NDArray[np.float32],
     weights: NDArray[np.float32],
+    asked: NDArray[np.int64],
     stride: int,
     tolerance: float,
     min_cosine: float,
@@ -327,9 +328,9 @@ def average_planes(
 ) -> None:
     """Mean place, normal, colour (0 to 255) and weight of each pixel's plane with those of other views that agree.
 
-    Another view agrees whose plane passes within the tolerance of the point and faces the same way; it contradicts
-    when it sees a surface farther than three tolerances behind the point. The means weigh views; place moves along the
-    normal.
+    Asked (n_views, k) are each view's others, up to a -1. One agrees whose plane passes within the tolerance of the
+    point and faces the same way; it contradicts when it sees a surface farther than three tolerances behind the point.
+    The means weigh views; place moves along the normal.
     """
     n_views, rows, columns = weights.shape
     for line in span(part, n_views * rows):
@@ -352,9 +353,11 @@ def average_planes(
             for axis in range(3):
                 mean_normals[view, row, column, axis] = own * n[axis]
                 colors[view, row, column, axis] = own * images[view, v, u, axis]
-            for other in range(n_views):
+            for other in asked[view]:
+                if other < 0:
+                    break
                 a, b, depth = project(projections[other], x, y, z)
-                if other == view or depth <= 0.0:
+                if depth <= 0.0:
                     continue
                 c = int(np.floor(a / stride + 0.5))
                 r = int(np.floor(b / stride + 0.5))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import open3d as o3d
-from matplotlib import colormaps
 
 from recon3d.errors import ArgumentError
 from recon3d.evaluation.distances import distance_to_mesh
@@ -21,6 +20,8 @@ def error_map(
 
     Swap the two meshes to see what of the ground truth is missing.
     """
+    from matplotlib import colormaps
+
     if not full_scale_mm > 0:
         raise ArgumentError(f"expected a positive full scale, got {full_scale_mm}")
     distance = distance_to_mesh(np.asarray(mesh.vertices), ground_truth) * mm_per_unit

@@ -4,19 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import open3d as o3d
-import plotly.graph_objects as go
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from recon3d.evaluation.distances import Evaluation
 from recon3d.io.files import atomic_path, write_json
 
+if TYPE_CHECKING:  # they take a second to import, and most runs draw nothing
+    import plotly.graph_objects as go
+    from matplotlib.figure import Figure
+
 
 def plot_evaluation(evaluation: Evaluation, title: str = "") -> Figure:
     """Histograms of both distances and their cumulative distributions (the paper's Fig. 7)."""
+    from matplotlib.figure import Figure
+
     curves = evaluation.curves()
     largest = curves["distance_mm"][-1]
     figure = Figure(figsize=(11, 3.6), layout="constrained")
@@ -44,6 +49,8 @@ def plot_trade_off(
     series: Mapping[str, Sequence[tuple[float, float, str]]], *, xlabel: str, ylabel: str, title: str = ""
 ) -> Figure:
     """Named series of points (x, y, text) in one plane: what gains in one direction costs in the other."""
+    from matplotlib.figure import Figure
+
     figure = Figure(figsize=(7, 4.6), layout="constrained")
     axes = figure.subplots()
     for n, (name, points) in enumerate(series.items()):
@@ -73,6 +80,8 @@ def save_evaluation(evaluation: Evaluation, folder: Path | str) -> dict[str, Pat
 
 def show_mesh(mesh: o3d.geometry.TriangleMesh, *, max_triangles: int = 60_000) -> go.Figure:
     """Interactive figure of a coloured mesh for a notebook; large meshes are simplified for it."""
+    import plotly.graph_objects as go
+
     if len(mesh.triangles) > max_triangles:
         mesh = mesh.simplify_quadric_decimation(max_triangles)
     vertices, triangles = np.asarray(mesh.vertices), np.asarray(mesh.triangles)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from recon3d.errors import ArgumentError, EmptyReconstructionError
 from recon3d.kernels.planes import average_planes
+from recon3d.scene.neighbours import overlapping_neighbours
 from recon3d.scene.scene import Scene
 from recon3d.stereo.patch_match import DepthMap, Matching, plane_normals
 
@@ -46,6 +47,8 @@ class Fusion:
 def fuse(scene: Scene, depth_maps: Sequence[DepthMap], matching: Matching) -> Fusion:
     """Keep what several views agree on and hardly any view sees through, in the mean of those that agree.
 
+    Each view's points are compared with the views that may see the same surface, see ``overlapping_neighbours``.
+
     Matches that no other view confirms are dropped first, so that a stray one cannot speak against the others.
 
     Raises
@@ -54,7 +57,7 @@ def fuse(scene: Scene, depth_maps: Sequence[DepthMap], matching: Matching) -> Fu
     """
     if len(depth_maps) != len(scene.views):
         raise ArgumentError(f"expected a depth map of each of {len(scene.views)} views, got {len(depth_maps)}")
-    views = scene.packed
+    views, asked = scene.packed, overlapping_neighbours(scene)
     planes = np.stack([depth_map.planes for depth_map in depth_maps])
     costs = np.stack([depth_map.costs for depth_map in depth_maps])
     normals = plane_normals(scene, planes, matching.stride)
@@ -65,7 +68,7 @@ def fuse(scene: Scene, depth_maps: Sequence[DepthMap], matching: Matching) -> Fu
         agreeing, contradicting = np.zeros((2, *costs.shape), np.int64)
         average_planes(
             views.projections, views.centers, views.world_from_pixel, views.images, views.sizes, planes, normals,
-            weights, matching.stride, _TOLERANCE * scene.pixel_footprint, float(np.cos(np.radians(_MAX_ANGLE))),
+            weights, asked, matching.stride, _TOLERANCE * scene.pixel_footprint, float(np.cos(np.radians(_MAX_ANGLE))),
             points, means, colors, support, agreeing, contradicting,
         )  # fmt: skip
         weights = np.where(agreeing > 0, weights, np.float32(0))
