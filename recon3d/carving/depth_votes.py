@@ -14,8 +14,6 @@ from recon3d.volume.dense import CarvingVolume
 MIN_DEVIATION = 1.0
 """Grey levels; a window with less contrast has nothing to match."""
 
-_REACH = 2.0  # resolutions outside of what is occupied where depths still vote
-
 
 def hull_of_field(field: NDArray[np.float32], carved: NDArray[np.integer], volume: CarvingVolume) -> CarvedVolume:
     """Hull of the voxels with a positive signed distance (nx, ny, nz), all hidden; labels of the others are given."""
@@ -49,21 +47,19 @@ def carve_by_depths(
     margin : resolutions left in front of the surface found.
     """
     occupied = field > 0
-    # A blur over occupied voxels alone would draw every surface close to the present one out to it.
-    voting = field > -_REACH * resolution
-    voxels = np.argwhere(voting)
+    voxels = np.argwhere(occupied)
     distance, support = np.zeros(len(voxels)), np.zeros(len(voxels))
     fuse_depths(
         voxels, volume.origin, volume.voxel_size, views.projections, depths, weights, stride, truncation,
         distance, support,
     )  # fmt: skip
     votes, weight = np.zeros(volume.shape, np.float32), np.zeros(volume.shape, np.float32)
-    votes[voting], weight[voting] = distance * support, support
+    votes[occupied], weight[occupied] = distance * support, support
     # Blurred together with their weights, so that one stray ray cannot bore a hole.
     blur = resolution / volume.voxel_size
     votes, weight = gaussian_filter(votes, blur), gaussian_filter(weight, blur)
     judged = (votes + prior * truncation) / (weight + prior)
-    carved = np.minimum(field, judged + margin * resolution)
+    carved = np.where(occupied, np.minimum(field, judged + margin * resolution), field)
     # A cavity without an opening was seen by nobody.
     enclosed = binary_fill_holes(carved > 0) & (carved <= 0) & occupied
     carved[enclosed] = volume.voxel_size

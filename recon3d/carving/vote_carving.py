@@ -51,7 +51,7 @@ class _Round:
 
 _ROUNDS = (
     _Round(stride=4, reach=1.0, step=2.5, prior=0.3, radius=4, spacing=2, margin=1.5),  # find the cavities
-    _Round(stride=2, reach=0.1, step=1.25, prior=0.1, radius=2, spacing=1, margin=0.0),  # find the surface
+    _Round(stride=2, reach=0.1, step=1.25, prior=0.05, radius=2, spacing=1, margin=0.0),  # find the surface
 )
 
 
