@@ -10,7 +10,6 @@ from math import ceil, floor
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import map_coordinates
 
 from recon3d.rendering.renderer import pixel_rays
 from recon3d.scene.scene import Scene
@@ -235,54 +234,6 @@ def nearest_sample(view: View, point: NDArray[np.float64], stride: int, shape: t
     (pixel,), (depth,) = view.project(point[None])
     column, row = (floor(place / stride + 0.5) for place in pixel)
     return (row, column) if depth > 0 and 0 <= row < shape[0] and 0 <= column < shape[1] else None
-
-
-def best_depth_twin(
-    scene: Scene,
-    grey: NDArray[np.float32],
-    pixel: Pixel,
-    nearest: float,
-    farthest: float,
-    step: float,
-    *,
-    radius: int,
-    spacing: int,
-    min_deviation: float,
-) -> tuple[float, float]:
-    """Depth of the first view's pixel at which its window correlates best with the other views, and that score.
-
-    The score is the mean of the two best correlations, -1 where nothing can be compared. Between tried depths the
-    vertex of the parabola through the best and its two neighbours counts.
-    """
-    view, others = scene.views[0], scene.views[1:]
-    side = [spacing * n for n in range(-(radius // spacing), radius // spacing + 1)]
-    window = [(pixel[0] + du, pixel[1] + dv) for dv in side for du in side]
-    if not all(in_image(view, place) for place in window):
-        return np.nan, -1.0
-    own = np.array([float(grey[0, v, u]) for u, v in window])
-    if own.std() < min_deviation:
-        return np.nan, -1.0
-    depths = nearest + step * np.arange(floor((farthest - nearest) / step) + 1)
-    scores = []
-    for depth in depths:
-        points = np.array([point_at(view, place, depth) for place in window])
-        correlations = []
-        for other, image in zip(others, grey[1:], strict=True):
-            places, before = other.project(points)
-            size = np.array([other.width, other.height])
-            seen = map_coordinates(image[: size[1], : size[0]].astype(np.float64), places.T[::-1], order=1)
-            inside = (before > 0).all() and (places >= 0).all() and (places <= size - 1).all()
-            comparable = inside and seen.std() > 1e-3
-            correlations.append(np.corrcoef(own, seen)[0, 1] if comparable else -1.0)
-        scores.append(np.mean(sorted(correlations)[-2:]))
-    best = int(np.argmax(scores))
-    if scores[best] <= -1:
-        return np.nan, -1.0
-    offset = 0.0
-    if 0 < best < len(scores) - 1 and min(scores[best - 1], scores[best + 1]) > -1:
-        a, b, _ = np.polyfit([-1, 0, 1], scores[best - 1 : best + 2], 2)
-        offset = -b / (2 * a)
-    return float(depths[best] + offset * step), float(scores[best])
 
 
 def agreements_twin(scene: Scene, depths: NDArray[np.float32], stride: int, tolerance: float) -> NDArray[np.int64]:
