@@ -36,7 +36,7 @@ same_for_all = {
 # %% [markdown]
 # ## A handful of tests
 #
-# Every fourth view is kept from the tests: how well the coloured result predicts it is the re-projection error. That
+# Every fourth view is held out: how well the coloured result predicts it is the re-projection error. That
 # needs no ground truth. An error counts only where there is something to see, so read it with the overlap.
 
 # %%

@@ -158,7 +158,7 @@ def _supported(scene: Scene, seen: _Seen, min_area: float) -> _Seen:
     """The part of a mesh that is supported; the rest still hides it."""
     supported = seen.support > 0
     if not supported[np.asarray(seen.mesh.triangles)].all(axis=1).any():
-        raise EmptyReconstructionError(f"scene {scene.name}: nothing was measured of any of the surface")
+        raise EmptyReconstructionError(f"scene {scene.name}: none of the surface was measured")
     part, repairs, source = repair_mesh(seen.mesh, kept=supported, min_area=min_area)
     return _Seen(part, seen.visibility.of_vertices(source), seen.support[source], seen.repairs + repairs, seen.caster)
 
@@ -202,7 +202,8 @@ def kept_carving(
     method = settings.method_for(scene)
     options = _content(method)
     kept: Kept[Carved] = Kept(
-        checkpoints if options else None, content_key(scene, lattice, options), lambda carved: carved.arrays(),
+        checkpoints if options else None, content_key(scene, lattice, options) if checkpoints is not None else "",
+        lambda carved: carved.arrays(),
         lambda arrays: (SparseVolume if "slots" in arrays else CarvedVolume).from_arrays(lattice, arrays),
     )  # fmt: skip
     return once(partial(method.carve, progress=progress, observer=observer), "carving", (scene, lattice), kept=kept)

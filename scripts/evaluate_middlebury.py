@@ -16,7 +16,7 @@ def main(
     ground_truth: Annotated[Path, typer.Argument(metavar="GROUND_TRUTH", help="Mesh or points, same frame.")],
     output: Annotated[Path, typer.Option(help="Folder for the JSON and the curves.")] = Path("evaluation"),
     valid: Annotated[Path | None, typer.Option(help="Part of GROUND_TRUTH that is real data.")] = None,
-    supported: Annotated[bool, typer.Option(help="Leave out what only the hull closes.")] = False,
+    supported: Annotated[bool, typer.Option(help="Measure only vertices with support > 0.")] = False,
     accuracy_percent: float = 90.0,
     completeness_threshold_mm: float = 1.25,
     seed: int = 0,

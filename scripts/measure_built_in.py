@@ -2,7 +2,7 @@
 
 Usage: python scripts/measure_built_in.py [--noise LEVELS] [--light-change SHARE] [--views N] [--surface NAME]
 
-Accuracy is of the surface that was measured, without what only the hull closes.
+Accuracy is of the measured surface alone.
 """
 
 from typing import Annotated

@@ -153,7 +153,7 @@ set_up() { # [EXTRA]
         quietly "$python" -c 'import open3d, recon3d' || die "Open3D was installed but does not load"
         fingerprint >"$venv/recon3d-${extra:-runtime}.stamp"
         say "compiling for this machine, once: about 20 s"
-        "$python" -m recon3d.precompile >/dev/null 2>&1 </dev/null || say "compiling is left to the first run"
+        "$python" -m recon3d.cli.precompile >/dev/null 2>&1 </dev/null || say "compiling is left to the first run"
         say "done"
     fi
     export PATH="$venv/bin:$PATH"

@@ -33,7 +33,7 @@ print(*sorted(Counter.kernels))
 def test_a_default_run_finds_all_its_kernels_compiled(tmp_path: Path) -> None:
     environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path), "PYTHONPATH": str(Path(recon3d.__path__[0]).parent)}
     done = subprocess.run(
-        [sys.executable, "-m", "recon3d.precompile"], env=environment, capture_output=True, text=True, check=False
+        [sys.executable, "-m", "recon3d.cli.precompile"], env=environment, capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stderr
     compiled = subprocess.run(

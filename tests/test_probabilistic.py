@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from scenes import ball_mesh, box_mesh, cameras, full_volume, photographs, plain_view, with_noise
 
-from recon3d.carving.observations import carve_background
+from recon3d.carving.observations import without_background
 from recon3d.carving.probabilistic import ProbabilisticSpaceCarving
 from recon3d.carving.space_carving import SpaceCarving
 from recon3d.consistency.deviation import StandardDeviation
@@ -129,8 +129,7 @@ def test_noise_that_makes_space_carving_tear_through_the_object_does_not_here() 
 def test_the_result_lies_inside_the_visual_hull_with_probabilities_as_degrees(temple: BuiltInScene) -> None:
     volume = CarvingVolume.enclosing(temple.scene.bounds, n_voxels=20_000)
     hull = ProbabilisticSpaceCarving(threshold=0.6).carve(temple.scene, volume)
-    occupied = volume.occupied.copy()
-    carve_background(temple.scene.packed, occupied, volume)
+    _, occupied = without_background(temple.scene.packed, volume)
     assert not (hull.with_interior.occupied & ~occupied).any()
     judged = (hull.labels == Label.CONSISTENT) | (hull.labels == Label.INCONSISTENT)
     np.testing.assert_array_equal(np.isfinite(hull.degree), judged)

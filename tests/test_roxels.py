@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from scenes import ball_mesh, box_mesh, cameras, photographs, plain_view
 
-from recon3d.carving.observations import carve_background
+from recon3d.carving.observations import without_background
 from recon3d.carving.roxels import Roxels
 from recon3d.datasets.synthetic import BuiltInScene, Camera, photograph
 from recon3d.errors import EmptyReconstructionError
@@ -87,8 +87,7 @@ def test_the_ball_is_found_near_its_surface_in_its_colours() -> None:
 def test_the_result_lies_inside_the_visual_hull_with_opacities_as_degrees(temple: BuiltInScene) -> None:
     volume = CarvingVolume.enclosing(temple.scene.bounds, n_voxels=20_000)
     hull = Roxels(threshold=0.6, rounds=6).carve(temple.scene, volume)
-    occupied = volume.occupied.copy()
-    carve_background(temple.scene.packed, occupied, volume)
+    _, occupied = without_background(temple.scene.packed, volume)
     assert not (hull.with_interior.occupied & ~occupied).any()
     judged = (hull.labels == Label.CONSISTENT) | (hull.labels == Label.INCONSISTENT)
     np.testing.assert_array_equal(np.isfinite(hull.degree), judged)

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from scenes import ORIGIN, ball_mesh, box_mesh, cameras, full_volume, photographs, plain_view, two_planes_mesh
 
-from recon3d.carving.observations import carve_background
+from recon3d.carving.observations import without_background
 from recon3d.carving.space_carving import SpaceCarving
 from recon3d.carving.voxel_coloring import VoxelColoring
 from recon3d.consistency.base import Patches, Verdict
@@ -30,9 +30,7 @@ AT_EYE_LEVEL = ring(ORIGIN, n_views=8, distance=6.0, width=48, height=36, focal=
 
 
 def visual_hull(scene: Scene, volume: CarvingVolume) -> NDArray[np.bool_]:
-    occupied = volume.occupied.copy()
-    carve_background(scene.packed, occupied, volume)
-    return occupied
+    return without_background(scene.packed, volume)[1]
 
 
 class AcceptNothing:

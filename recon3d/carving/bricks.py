@@ -151,7 +151,7 @@ class BrickItems(SeenItems):
         self.items[:] = np.where(views.foreground, np.int32(NOT_ENTERED), np.int32(GONE))
 
     def fit(self) -> None:
-        """Take note of bricks stored since."""
+        """Update the voxel count after bricks were stored."""
         self.n_places = self.bricks.n_places
 
     def advance(self) -> NDArray[np.int64]:

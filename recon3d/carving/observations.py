@@ -7,12 +7,12 @@ from numpy.typing import NDArray
 
 from recon3d.consistency.base import ConsistencyTest, Patches, Verdict
 from recon3d.consistency.spec import ask
-from recon3d.kernels.footprints import carve_background as clear_background
-from recon3d.kernels.footprints import free_pixels, gather, mark
+from recon3d.kernels.footprints import carve_background, free_pixels, gather, mark
 from recon3d.kernels.ragged import mean_colors
 from recon3d.kernels.rays import observe
 from recon3d.kernels.windows import sample_windows
 from recon3d.scene.packed import PackedViews
+from recon3d.volume.carved import CarvedVolume, Label
 from recon3d.volume.dense import CarvingVolume
 
 _NUMBERS = 1 << 24  # of directions and windows at once: 64 MiB
@@ -56,9 +56,13 @@ def starts_of(counts: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.concatenate([ends[:, :1] - counts[:, :1], ends], axis=1)
 
 
-def carve_background(views: PackedViews, occupied: NDArray[np.bool_], volume: CarvingVolume) -> None:
-    """Clear the voxels (nx, ny, nz) whose footprint, wholly in some image, holds background alone."""
-    clear_background(occupied, volume.origin, volume.voxel_size, views.projections, views.sizes, views.integrals)
+def without_background(views: PackedViews, volume: CarvingVolume) -> tuple[CarvedVolume, NDArray[np.bool_]]:
+    """Carved volume with the voxels labelled that project to background alone, and those left (nx, ny, nz)."""
+    occupied = volume.occupied.copy()
+    carve_background(occupied, volume.origin, volume.voxel_size, views.projections, views.sizes, views.integrals)
+    hull = CarvedVolume.untouched(volume)
+    hull.labels[volume.occupied & ~occupied] = Label.BACKGROUND
+    return hull, occupied
 
 
 def mean_color(patches: Patches) -> NDArray[np.uint8]:

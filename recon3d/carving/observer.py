@@ -22,7 +22,7 @@ Shown = Callable[[Voxel], NDArray[np.bool_]]
 
 
 class Observer(Protocol):
-    """Is told what an engine does, as it does it, and changes nothing."""
+    """Receives verdicts as they are made; must not change them."""
 
     def judged(self, voxels: NDArray[np.int64], patches: Patches, verdict: Verdict, shown: Shown) -> None:
         """A batch of voxels (n, 3) has been judged."""

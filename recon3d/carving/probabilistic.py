@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recon3d.carving.method import Method
-from recon3d.carving.observations import carve_background, observed_colors
+from recon3d.carving.observations import observed_colors, without_background
 from recon3d.carving.observer import Observer
 from recon3d.carving.start import clear_around_cameras
 from recon3d.checks import require_number, require_whole
@@ -106,10 +106,7 @@ class ProbabilisticSpaceCarving(Method):
         volume = CarvingVolume.full(volume)
         views = scene.packed
 
-        hull = CarvedVolume.untouched(volume)
-        occupied = volume.occupied.copy()
-        carve_background(views, occupied, volume)
-        hull.labels[volume.occupied & ~occupied] = Label.BACKGROUND
+        hull, occupied = without_background(views, volume)
         clear_around_cameras(occupied, scene, volume)
         voxels, colors, seen = observed_colors(views, occupied, volume)
 

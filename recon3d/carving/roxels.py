@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from recon3d.carving.method import Method
-from recon3d.carving.observations import carve_background, observed_colors
+from recon3d.carving.observations import observed_colors, without_background
 from recon3d.carving.observer import Observer
 from recon3d.carving.start import clear_around_cameras
 from recon3d.checks import require_number, require_whole
@@ -99,10 +99,7 @@ class Roxels(Method):
         volume = CarvingVolume.full(volume)
         views = scene.packed
 
-        hull = CarvedVolume.untouched(volume)
-        occupied = volume.occupied.copy()
-        carve_background(views, occupied, volume)
-        hull.labels[volume.occupied & ~occupied] = Label.BACKGROUND
+        hull, occupied = without_background(views, volume)
         clear_around_cameras(occupied, scene, volume)
         voxels, observed, seen = observed_colors(views, occupied, volume)
         at = tuple(voxels.T)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from recon3d.carving.hysteresis import keep_connected, label_voxels, neighbour_offsets
 from recon3d.carving.method import JudgingMethod
-from recon3d.carving.observations import carve_background, judge, mean_color, starts_of
+from recon3d.carving.observations import judge, mean_color, starts_of, without_background
 from recon3d.carving.observer import Observer, Voxel
 from recon3d.carving.start import clear_around_cameras
 from recon3d.checks import require_whole
@@ -96,10 +96,7 @@ class SpaceCarving(JudgingMethod):
         offsets = neighbour_offsets(self.connectivity)
         views = scene.packed
 
-        hull = CarvedVolume.untouched(volume)
-        occupied = volume.occupied.copy()
-        carve_background(views, occupied, volume)
-        hull.labels[volume.occupied & ~occupied] = Label.BACKGROUND
+        hull, occupied = without_background(views, volume)
         clear_around_cameras(occupied, scene, volume)
         carving = _Carving(views, scene, hull, occupied, self.test, observer)
         carving.drop_unseen()

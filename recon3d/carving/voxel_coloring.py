@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from recon3d.carving.hysteresis import keep_connected, label_voxels, neighbour_offsets
 from recon3d.carving.method import JudgingMethod
-from recon3d.carving.observations import UnclaimedPixels, carve_background, judge, mean_color
+from recon3d.carving.observations import UnclaimedPixels, judge, mean_color, without_background
 from recon3d.carving.observer import Observer
 from recon3d.carving.visibility import require_sweep_direction
 from recon3d.checks import require_choice
@@ -78,10 +78,7 @@ class VoxelColoring(JudgingMethod):
         direction = require_sweep_direction(scene, volume.bounds).direction
         views, unclaimed = scene.packed, UnclaimedPixels(scene.packed, volume)
 
-        hull = CarvedVolume.untouched(volume)
-        occupied = volume.occupied.copy()
-        carve_background(views, occupied, volume)
-        hull.labels[volume.occupied & ~occupied] = Label.BACKGROUND
+        hull, occupied = without_background(views, volume)
 
         layers = list(near_to_far(occupied, direction, self.layering))
         for n, layer in enumerate(layers):

@@ -134,7 +134,7 @@ class ConsistencyTest(Protocol):
 
 
 class AroundTest:
-    """What a test around another one wants: what that one does."""
+    """Forwards the wrapped test's requests."""
 
     test: ConsistencyTest
 

@@ -31,7 +31,7 @@ def evaluate_files(
     ----------
     valid : mesh of the part of the ground truth that is real data; ground truth farther than ``valid_within_mm`` from
         it is filler, where nothing is measured.
-    supported : leave out of the reconstruction what only the hull closes: vertices whose ``support`` is 0.
+    supported : measure only the vertices of the reconstruction with ``support`` > 0.
     options : passed to ``evaluate``.
 
     Raises
@@ -44,7 +44,7 @@ def evaluate_files(
 
 
 def _supported_part(file: Path | str) -> o3d.geometry.TriangleMesh:
-    """Mesh of a file without the vertices that nothing was measured of."""
+    """Mesh of a file, its measured vertices alone."""
     mesh, support = read_mesh(file), read_support(file)
     if support is None:
         raise DataError(f"{file}: expected a mesh.ply that recon3d wrote, got one without support of its vertices")

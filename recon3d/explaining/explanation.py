@@ -72,7 +72,7 @@ class Explanation(Summarised):
     label_before_matching: Label | None = None
     """What carving had made of the voxel, before matching carved on; None: the result is not a sharp one."""
     n_points: int = 0
-    """Points of a sharp result in the voxel."""
+    """Matched points in the voxel."""
 
     @property
     def method(self) -> Method:
@@ -283,7 +283,7 @@ def explain(
 def _matched(
     scene: Scene, carved: CarvedVolume, settings: Settings, checkpoints: Store | None
 ) -> tuple[CarvedVolume, NDArray[np.float32] | None]:
-    """Carved volume and, of a sharp result, points (n, 3): what matching leaves of it, with the degrees of carving."""
+    """What matching leaves of a volume, with the degrees of carving, and points (n, 3); None without matching."""
     passes = settings.passes_for(scene)
     if not passes:
         return carved, None

@@ -55,7 +55,7 @@ class Refinement(NamedTuple):
 
 def refine(
     scene: Scene,
-    hull: CarvedVolume,
+    carved: CarvedVolume,
     *,
     passes: Sequence[Matching] = PASSES,
     checkpoints: Store | None = None,
@@ -71,23 +71,23 @@ def refine(
 
     Parameters
     ----------
-    hull : of the scene, by any carving method; vote carving comes nearest to the surface.
+    carved : of the scene, by any carving method; vote carving comes nearest to the surface.
     passes : how windows are matched, each time from what was found before.
-    checkpoints : finished depth maps and passes are kept here, and taken from here where the scene, the hull and the
-        passes up to them are the same.
+    checkpoints : finished depth maps and passes are kept here, and taken from here where the scene, the carved volume
+        and the passes up to them are the same.
     executor : matches several views at a time, see ``recon3d.tasks.map``; the result is the same.
     progress : called with the views that are done and how many there are, over all passes.
 
     Raises
     ------
     SceneError : no two views can be matched.
-    EmptyReconstructionError : the hull is empty, or no two views agree on any point.
+    EmptyReconstructionError : the carved volume is empty, or no two views agree on any point.
     """
     if not passes:
         raise ArgumentError("expected at least one pass of matching")
     report = progress or (lambda _done, _total: None)
-    key = content_key(scene, hull.lattice, hull.arrays())
-    found = Refinement(o3d.t.geometry.PointCloud(), hull)
+    key = content_key(scene, carved.lattice, carved.arrays()) if checkpoints is not None else ""  # nothing is kept
+    found = Refinement(o3d.t.geometry.PointCloud(), carved)
     for n, matching in enumerate(passes):
         key, last = content_key(key, matching), n + 1 == len(passes)
         one_pass = partial(
@@ -95,7 +95,7 @@ def refine(
             kept=Kept(checkpoints, key, vars, lambda arrays: DepthMap(**arrays)), executor=executor,
             progress=partial(_in_all, report, n, len(passes)),
         )  # fmt: skip
-        kept = Kept(checkpoints, content_key(key, last), _arrays, partial(_restored, hull.lattice))
+        kept = Kept(checkpoints, content_key(key, last), _arrays, partial(_restored, carved.lattice))
         found = once(one_pass, f"pass {n + 1}", kept=kept)
         _in_all(report, n, len(passes), len(scene.views), len(scene.views))
     return found

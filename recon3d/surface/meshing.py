@@ -26,7 +26,7 @@ class Meshing:
     surface: Surface = "poisson"
     """Of points: "poisson" or "graph-cut"."""
     keep_unsupported: bool = True
-    """Keep surface that nothing was measured of, such as the underside that no view sees, so that the mesh is closed.
+    """Keep unmeasured surface, such as the underside that no view sees, so that the mesh is closed.
     Surface of voxels is measured where a view sees it, surface of points where two views found it."""
     fill_hidden: bool = False
     """Of voxels carved by a one-sided method: mesh what lies hidden behind them, too; solid, but partly guessed."""
@@ -68,7 +68,7 @@ def mesh(
 
     Parameters
     ----------
-    carved : what carving or ``refine`` left; its hull closes the mesh where there are no points.
+    carved : what carving or ``refine`` left; unmeasured regions are filled from it.
     points : as ``refine`` finds them.
     meshing : how; ``Meshing()`` when None. What of the mesh is unsupported is known only with the views, so
         ``keep_unsupported`` means nothing here.

@@ -73,7 +73,7 @@ def graph_cut(
     attraction : of the surface by support: the Gaussian sum of the confidences of the points near a voxel, 1 at the
         median of the voxels that hold points.
     evidence : most that a voxel near points costs, in faces.
-    ballooning : keeps solid what nobody speaks of, in faces a voxel; much of it fills deep cavities with gaps.
+    ballooning : cost of an unobserved voxel that is empty, in face costs; a large one fills deep cavities with gaps.
     spread : standard deviation of a point's reach, voxels.
     margin : voxels around the hull that may become solid, too, at a cost, where carving went too far.
     smoothing : pairs of Taubin steps on the mesh.

@@ -51,7 +51,7 @@ def mesh_points(
     spacing: float | None = None,
     measured: MeasuredSpace | None = None,
 ) -> o3d.geometry.TriangleMesh:
-    """Closed mesh through oriented points; where there are none, the hull closes it, or a small surface inside it.
+    """Closed mesh through oriented points; unmeasured regions are filled from the hull or inside it.
 
     Parameters
     ----------

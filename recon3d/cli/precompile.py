@@ -1,4 +1,4 @@
-"""Compiles what a default run uses, so that the first one need not: ``python -m recon3d.precompile``."""
+"""Compiles what a default run uses, so that the first one need not: ``python -m recon3d.cli.precompile``."""
 
 import os
 import subprocess
@@ -29,7 +29,7 @@ def main() -> int:
     command = [
         sys.executable,
         "-c",
-        "import sys; from recon3d.precompile import warm_up; warm_up(*map(int, sys.argv[1:]))",
+        "import sys; from recon3d.cli.precompile import warm_up; warm_up(*map(int, sys.argv[1:]))",
     ]
     processes = [subprocess.Popen([*command, str(part), str(parts)]) for part in range(parts)]  # noqa: S603
     try:
