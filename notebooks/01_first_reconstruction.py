@@ -58,7 +58,7 @@ plt.show()
 # The accepted voxels become a closed, smooth, coloured mesh. Turn it with the mouse.
 
 # %%
-mesh = recon3d.mesh_volume(hull.volume)
+mesh = recon3d.surface.mesh_volume(hull.volume)
 recon3d.show_mesh(mesh)
 
 # %% [markdown]
@@ -72,7 +72,7 @@ evaluation = recon3d.evaluate(mesh, built_in.ground_truth, mm_per_unit=scene.mm_
 evaluation
 
 # %%
-recon3d.plot_evaluation(evaluation, "little temple")
+recon3d.reporting.plot_evaluation(evaluation, "little temple")
 
 # %% [markdown]
 # ## Render
@@ -80,15 +80,15 @@ recon3d.plot_evaluation(evaluation, "little temple")
 # Photograph, colours, shading, normals and depth from the input cameras, then a turn around the object.
 
 # %%
-renderer = recon3d.Renderer(mesh)
+renderer = recon3d.rendering.Renderer(mesh)
 plt.figure(figsize=(14, 6))
-plt.imshow(recon3d.comparison_sheet(scene, renderer, views=3))
+plt.imshow(recon3d.rendering.comparison_sheet(scene, renderer, views=3))
 plt.axis("off")
 plt.show()
 
 # %%
 plt.figure(figsize=(14, 2.5))
-plt.imshow(recon3d.turntable(scene, renderer, frames=6, size=240))
+plt.imshow(recon3d.rendering.turntable(scene, renderer, frames=6, size=240))
 plt.axis("off")
 plt.show()
 

@@ -28,6 +28,7 @@ The main job::
 """
 
 import os
+import pkgutil
 
 import lazy_loader
 
@@ -35,4 +36,6 @@ import lazy_loader
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 # The names and where they live are in __init__.pyi; each is imported on its first use, since Open3D takes seconds.
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+__getattr__, __dir__, _lazy = lazy_loader.attach_stub(__name__, __file__)
+# The packages are reached by their names, but `from recon3d import *` leaves the user's own `io` alone.
+__all__ = sorted(set(_lazy) - {module.name for module in pkgutil.iter_modules(__path__)})

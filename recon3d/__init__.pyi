@@ -1,186 +1,81 @@
+from . import carving as carving
+from . import consistency as consistency
+from . import datasets as datasets
+from . import errors as errors
+from . import evaluation as evaluation
+from . import io as io
+from . import rendering as rendering
+from . import reporting as reporting
+from . import scene as scene
+from . import stereo as stereo
+from . import study as study
+from . import surface as surface
+from . import volume as volume
 from ._version import __version__ as __version__
-from .carving import (
-    METHODS,
-    FineGeneralizedVoxelColoring,
-    FineVisualHull,
-    GeneralizedVoxelColoring,
-    ProbabilisticSpaceCarving,
-    Roxels,
-    SpaceCarving,
-    VisualHull,
-    VoteCarving,
-    VoxelColoring,
-    carve,
-    largest_admissible_views,
-)
-from .consistency import (
-    TESTS,
-    ConsistencyTest,
-    FuzzyAdaptiveHysteresis,
-    Hysteresis,
-    Patches,
-    StandardDeviation,
-    Verdict,
-    load_test,
-)
-from .datasets import SCENES, BuiltInScene, little_temple
-from .errors import (
-    ArgumentError,
-    DataError,
-    EmptyReconstructionError,
-    FailedTestError,
-    Recon3dError,
-    SceneError,
-    VisibilityError,
-    VolumeTooLargeError,
-)
-from .evaluation import (
-    Evaluation,
-    Quality,
-    Reprojection,
-    ShapeQuality,
-    evaluate,
-    evaluate_files,
-    measure_quality,
-    triangles_near,
-)
+from .carving import METHODS, VisualHull, VoteCarving, VoxelColoring, carve
+from .consistency import TESTS, ConsistencyTest, FuzzyAdaptiveHysteresis, Patches, Verdict, load_test
+from .datasets import SCENES, little_temple
+from .errors import ArgumentError, DataError, Recon3dError, SceneError
+from .evaluation import Evaluation, Quality, evaluate
 from .explaining import Explanation, explain
-from .io import (
-    Checkpoints,
-    open_scene,
-    read_geometry,
-    read_mesh,
-    read_support,
-    write_geometry,
-    write_middlebury,
-)
+from .io import open_scene, read_mesh, write_geometry
 from .pipeline import reconstruct
-from .rendering import Renderer, Rendering, comparison_sheet, render, turntable
-from .reporting import error_map, plot_evaluation, save, save_error_maps, save_evaluation, save_pictures, show_mesh
+from .rendering import render
+from .reporting import save, show_mesh
 from .result import Reconstruction
-from .scene import (
-    Bounds,
-    Camera,
-    Photograph,
-    Scene,
-    View,
-    with_mask_files,
-    with_segmented_silhouettes,
-    with_threshold_silhouettes,
-    without_silhouettes,
-)
+from .scene import Bounds, Camera, Photograph, Scene, View
 from .settings import Settings
-from .stereo import PASSES, Matching, Refinement, refine
-from .study import Comparison, Trial, compare
-from .surface import (
-    Meshing,
-    Repairs,
-    VertexVisibility,
-    color,
-    graph_cut,
-    mesh,
-    mesh_points,
-    mesh_sparse,
-    mesh_volume,
-    repair_mesh,
-    surface_points,
-)
-from .volume import CarvedVolume, CarvingVolume, Label, Lattice, SparseVolume
+from .stereo import Matching, refine
+from .study import Comparison, compare
+from .surface import Meshing, color, mesh
+from .volume import CarvedVolume, CarvingVolume, Label, SparseVolume
 
 __all__ = [
     "METHODS",
-    "PASSES",
     "SCENES",
     "TESTS",
     "ArgumentError",
     "Bounds",
-    "BuiltInScene",
     "Camera",
     "CarvedVolume",
     "CarvingVolume",
-    "Checkpoints",
     "Comparison",
     "ConsistencyTest",
     "DataError",
-    "EmptyReconstructionError",
     "Evaluation",
     "Explanation",
-    "FailedTestError",
-    "FineGeneralizedVoxelColoring",
-    "FineVisualHull",
     "FuzzyAdaptiveHysteresis",
-    "GeneralizedVoxelColoring",
-    "Hysteresis",
     "Label",
-    "Lattice",
     "Matching",
     "Meshing",
     "Patches",
     "Photograph",
-    "ProbabilisticSpaceCarving",
     "Quality",
     "Recon3dError",
     "Reconstruction",
-    "Refinement",
-    "Renderer",
-    "Rendering",
-    "Repairs",
-    "Reprojection",
-    "Roxels",
     "Scene",
     "SceneError",
     "Settings",
-    "ShapeQuality",
-    "SpaceCarving",
     "SparseVolume",
-    "StandardDeviation",
-    "Trial",
     "Verdict",
-    "VertexVisibility",
     "View",
-    "VisibilityError",
     "VisualHull",
-    "VolumeTooLargeError",
     "VoteCarving",
     "VoxelColoring",
     "carve",
     "color",
     "compare",
-    "comparison_sheet",
-    "error_map",
     "evaluate",
-    "evaluate_files",
     "explain",
-    "graph_cut",
-    "largest_admissible_views",
     "little_temple",
     "load_test",
-    "measure_quality",
     "mesh",
-    "mesh_points",
-    "mesh_sparse",
-    "mesh_volume",
     "open_scene",
-    "plot_evaluation",
-    "read_geometry",
     "read_mesh",
-    "read_support",
     "reconstruct",
     "refine",
     "render",
-    "repair_mesh",
     "save",
-    "save_error_maps",
-    "save_evaluation",
-    "save_pictures",
     "show_mesh",
-    "surface_points",
-    "triangles_near",
-    "turntable",
-    "with_mask_files",
-    "with_segmented_silhouettes",
-    "with_threshold_silhouettes",
-    "without_silhouettes",
     "write_geometry",
-    "write_middlebury",
 ]

@@ -22,7 +22,7 @@ def main(
     seed: int = 0,
 ) -> None:
     """Print accuracy and completeness; write them with their curves."""
-    evaluation = recon3d.evaluate_files(
+    evaluation = recon3d.evaluation.evaluate_files(
         reconstruction,
         ground_truth,
         valid=valid,
@@ -33,7 +33,7 @@ def main(
     )
     print(f"accuracy     {evaluation.accuracy_mm:.2f} mm  ({accuracy_percent:g}% of the reconstruction)")
     print(f"completeness {evaluation.completeness_percent:.1f} %   (within {completeness_threshold_mm:g} mm)")
-    for path in recon3d.save_evaluation(evaluation, output).values():
+    for path in recon3d.reporting.save_evaluation(evaluation, output).values():
         print(path)
 
 

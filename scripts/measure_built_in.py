@@ -18,7 +18,7 @@ from recon3d.rendering.ray_caster import RayCaster
 EDGE = 2.0  # pixel footprints of the triangles that are seen or not
 
 
-def seen_by_two(built_in: recon3d.BuiltInScene) -> tuple[o3d.geometry.TriangleMesh, np.ndarray]:
+def seen_by_two(built_in: recon3d.datasets.BuiltInScene) -> tuple[o3d.geometry.TriangleMesh, np.ndarray]:
     """The exact surface in small triangles, and which of these two views or more show (n_triangles,)."""
     truth, scene = built_in.ground_truth, built_in.scene
     vertices, triangles = trimesh.remesh.subdivide_to_size(
@@ -31,7 +31,7 @@ def seen_by_two(built_in: recon3d.BuiltInScene) -> tuple[o3d.geometry.TriangleMe
         o3d.utility.Vector3dVector(vertices[triangles].mean(axis=1)), o3d.utility.Vector3iVector()
     )
     centers.vertex_normals = mesh.triangle_normals
-    visibility = recon3d.VertexVisibility.of(centers, scene, RayCaster(truth))
+    visibility = recon3d.surface.VertexVisibility.of(centers, scene, RayCaster(truth))
     return mesh, visibility.n_views >= 2
 
 

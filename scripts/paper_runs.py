@@ -63,7 +63,7 @@ class Result:
         view = self.scene.views[len(self.scene.views) // 2]
         if self.mesh is None:
             return portrait(np.full((view.height, view.width, 3), 255, np.uint8), view, self.scene)
-        return portrait(recon3d.Renderer(self.mesh).render_view(view).picture(mode), view, self.scene)
+        return portrait(recon3d.rendering.Renderer(self.mesh).render_view(view).picture(mode), view, self.scene)
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,7 @@ class DataSet:
         if record is None:
             try:
                 record = reconstruct_into(folder, scene, settings)
-            except recon3d.EmptyReconstructionError:
+            except recon3d.errors.EmptyReconstructionError:
                 return self.results.setdefault(title, Result(title, scene))
         mesh = recon3d.read_mesh(folder / "mesh.ply")
         evaluation = recon3d.evaluate(mesh, self.truth, valid=self.valid) if self.truth else None
@@ -125,7 +125,7 @@ def finished(folder: Path, scene: recon3d.Scene, settings: recon3d.Settings) -> 
 
 def reconstruct_into(folder: Path, scene: recon3d.Scene, settings: recon3d.Settings) -> dict[str, Any]:
     """Reconstruct and save; returns the record."""
-    with suppress(recon3d.EmptyReconstructionError):  # compiled first, so that the time is the method's own
+    with suppress(recon3d.errors.EmptyReconstructionError):  # compiled first, so that the time is the method's own
         recon3d.reconstruct(scene, replace(settings, n_voxels=1000))
     recon3d.save(recon3d.reconstruct(scene, settings), folder, pictures=False)
     return dict(json.loads((folder / "record.json").read_text()))

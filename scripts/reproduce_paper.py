@@ -184,7 +184,7 @@ def figure_6(book: Book, rose: DataSet) -> None:
         view = result.scene.views[n]
         pictures.append(book.picture(f"figure-6-{n}-photograph", view.image, view.name))
         if result.mesh:
-            image = recon3d.Renderer(result.mesh).render_view(view).picture()
+            image = recon3d.rendering.Renderer(result.mesh).render_view(view).picture()
             pictures.append(book.picture(f"figure-6-{n}", image, f"the model from {view.name}"))
     text = "The paper finds no holes, and little precision where none of its views looks."
     book.sections.append(Section("Fig. 6: Rose", [text], [HEAD, result.row()], [pictures]))
@@ -276,7 +276,9 @@ def main(
     """Write the page."""
     book, runs = Book(output), output / "runs"
     truths = [recon3d.read_mesh(path) if path else None for path in (temple_truth, dino_truth)]
-    valid = recon3d.triangles_near(truths[0], recon3d.read_mesh(temple_valid), 1e-4) if temple_valid else None
+    valid = (
+        recon3d.evaluation.triangles_near(truths[0], recon3d.read_mesh(temple_valid), 1e-4) if temple_valid else None
+    )
     sets = [
         DataSet("TempleSparseRing", temple, runs, voxels, truths[0], valid),
         DataSet("DinoSparseRing", dino, runs, voxels, truths[1]),

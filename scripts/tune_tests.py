@@ -71,7 +71,7 @@ class Measured(NamedTuple):
         settings = recon3d.Settings(max_views=8, carving=recon3d.VoxelColoring(test=test))
         try:
             result = recon3d.reconstruct(self.scene, settings)
-        except recon3d.EmptyReconstructionError:
+        except recon3d.errors.EmptyReconstructionError:
             return 0.0
         voxel = result.carved.volume.voxel_size
         evaluation = recon3d.evaluate(result.mesh, self.ground_truth, valid=self.valid, spacing=voxel / 2)
@@ -87,7 +87,7 @@ def temple_ring(folder: Path, ground_truth: Path, valid: Path | None) -> Measure
     numbers = {view.name: int(re.findall(r"\d+", view.name)[-1]) for view in scene.views}
     scene = scene.subset([name for name, number in numbers.items() if number not in SPARSE_RING])
     surface = recon3d.read_mesh(ground_truth)
-    mask = None if valid is None else recon3d.triangles_near(surface, recon3d.read_mesh(valid), 1e-4)
+    mask = None if valid is None else recon3d.evaluation.triangles_near(surface, recon3d.read_mesh(valid), 1e-4)
     return Measured(scene, surface.translate(RING_FROM_SPARSE_RING), mask)
 
 

@@ -23,11 +23,11 @@ from recon3d import (
     Reconstruction,
     Scene,
     Settings,
-    StandardDeviation,
     VisualHull,
     VoteCarving,
     VoxelColoring,
 )
+from recon3d.consistency import StandardDeviation
 from recon3d.io.checkpoints import Checkpoints
 from recon3d.io.files import atomic_path
 from recon3d.stereo.refinement import PASSES

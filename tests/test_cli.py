@@ -16,6 +16,8 @@ import pytest
 import recon3d
 from recon3d import cli
 from recon3d.cli.arguments import record_of
+from recon3d.datasets import BuiltInScene
+from recon3d.io import read_support, write_middlebury
 from recon3d.stereo.refinement import PASSES
 
 
@@ -33,8 +35,8 @@ def run(*arguments: object, expect: int = 0, cwd: Path | None = None) -> subproc
 
 
 @pytest.fixture(scope="module")
-def photographs(temple: recon3d.BuiltInScene, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return recon3d.write_middlebury(temple.scene, tmp_path_factory.mktemp("data") / "photographs")
+def photographs(temple: BuiltInScene, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_middlebury(temple.scene, tmp_path_factory.mktemp("data") / "photographs")
 
 
 @pytest.fixture(scope="module")
@@ -71,9 +73,7 @@ def test_info_lists_the_views(photographs: Path, tmp_path: Path) -> None:
     assert (tmp_path / "views.png").is_file()
 
 
-def test_a_reconstruction_is_written_measured_and_rendered(
-    result: Path, temple: recon3d.BuiltInScene, tmp_path: Path
-) -> None:
+def test_a_reconstruction_is_written_measured_and_rendered(result: Path, temple: BuiltInScene, tmp_path: Path) -> None:
     assert (result / "mesh.glb").is_file()
     truth = recon3d.write_geometry(tmp_path / "truth.ply", temple.ground_truth)
     text = run("evaluate", result, truth, "-o", tmp_path, "--completeness-threshold", 3).stdout
@@ -102,7 +102,7 @@ def test_the_surface_may_be_made_again_from_the_stages_that_are_kept(photographs
     command += ["--method", "visual-hull", "--matching", "dense"]
 
     def unsupported() -> float:
-        support = recon3d.read_support(tmp_path / "mesh.ply")
+        support = read_support(tmp_path / "mesh.ply")
         assert support is not None
         return float((support == 0).mean())
 
@@ -124,7 +124,7 @@ def test_the_surface_may_be_made_again_from_the_stages_that_are_kept(photographs
     assert chosen() == [0, "poisson", True]
 
 
-def test_tests_are_compared_swept_and_written(photographs: Path, temple: recon3d.BuiltInScene, tmp_path: Path) -> None:
+def test_tests_are_compared_swept_and_written(photographs: Path, temple: BuiltInScene, tmp_path: Path) -> None:
     truth = recon3d.write_geometry(tmp_path / "truth.ply", temple.ground_truth)
     command = ["compare", photographs, "--tests", "standard-deviation", "--sweep", "threshold=60:79:20"]
     command += ["--voxels", 8000, "--max-views", 4, "-o", tmp_path, "--ground-truth", truth, "--valid", truth]
@@ -273,7 +273,7 @@ def test_a_wrong_option_is_a_failure() -> None:
     run("reconstruct", "--no-such-option", expect=2)
 
 
-def test_the_evaluation_script_prints_both_figures(result: Path, temple: recon3d.BuiltInScene, tmp_path: Path) -> None:
+def test_the_evaluation_script_prints_both_figures(result: Path, temple: BuiltInScene, tmp_path: Path) -> None:
     truth = recon3d.write_geometry(tmp_path / "truth.ply", temple.ground_truth)
     script = Path(__file__).parents[1] / "scripts" / "evaluate_middlebury.py"
     process = subprocess.run(
@@ -286,7 +286,7 @@ def test_the_evaluation_script_prints_both_figures(result: Path, temple: recon3d
 
 
 def test_a_result_is_rendered_and_measured_with_what_its_record_says(
-    temple: recon3d.BuiltInScene, photographs: Path, tmp_path: Path
+    temple: BuiltInScene, photographs: Path, tmp_path: Path
 ) -> None:
     bare = tmp_path / "bare"
     shutil.copytree(photographs, bare)
@@ -302,7 +302,7 @@ def test_a_result_is_rendered_and_measured_with_what_its_record_says(
     assert figures["accuracy_mm"] < 0.2  # in units of a tenth of a metre's thousandth: 100 times less than in metres
 
 
-def test_two_units_are_told_from_a_bad_result(temple: recon3d.BuiltInScene, result: Path, tmp_path: Path) -> None:
+def test_two_units_are_told_from_a_bad_result(temple: BuiltInScene, result: Path, tmp_path: Path) -> None:
     small = o3d.geometry.TriangleMesh(temple.ground_truth).scale(1e-5, (0, 0, 0))
     truth = recon3d.write_geometry(tmp_path / "truth.ply", small)
     assert "are both in one unit" in run("evaluate", result, truth, expect=1).stderr

@@ -39,12 +39,14 @@ from recon3d.consistency.deviation import StandardDeviation
 from recon3d.consistency.fuzzy import FuzzyAdaptiveHysteresis
 from recon3d.datasets.synthetic import BuiltInScene, little_temple
 from recon3d.errors import ArgumentError, EmptyReconstructionError, SceneError, VolumeTooLargeError
+from recon3d.io import Checkpoints
 from recon3d.kernels.brick_rays import next_brick
 from recon3d.kernels.bricks import BRICK, EMPTY, SOLID
 from recon3d.kernels.item_buffer import next_voxel
 from recon3d.scene.bounds import Bounds
 from recon3d.scene.scene import Scene
 from recon3d.scene.silhouettes import without_silhouettes
+from recon3d.stereo import PASSES
 from recon3d.volume.carved import CarvedVolume
 from recon3d.volume.dense import CarvingVolume
 from recon3d.volume.lattice import Lattice
@@ -291,7 +293,7 @@ def test_a_fine_method_is_reconstructed_saved_kept_and_refined_like_its_dense_tw
 ) -> None:
     fine = recon3d.Settings(n_voxels=30_000, carving=METHODS[name]())
     dense = replace(fine, carving=METHODS[name]().dense())
-    checkpoints = recon3d.Checkpoints(tmp_path / "stages")
+    checkpoints = Checkpoints(tmp_path / "stages")
     result = recon3d.reconstruct(temple.scene, fine, checkpoints=checkpoints)
     other = recon3d.reconstruct(temple.scene, dense)
     assert isinstance(result.carved, SparseVolume)
@@ -310,7 +312,7 @@ def test_a_fine_method_is_reconstructed_saved_kept_and_refined_like_its_dense_tw
 
     again = recon3d.reconstruct(temple.scene, fine, checkpoints=checkpoints)
     assert again.carved == result.carved
-    one, two = (recon3d.refine(temple.scene, r.carved.dense(), passes=recon3d.PASSES[2:]) for r in (result, other))
+    one, two = (recon3d.refine(temple.scene, r.carved.dense(), passes=PASSES[2:]) for r in (result, other))
     np.testing.assert_array_equal(one.points.point.positions.numpy(), two.points.point.positions.numpy())
 
 

@@ -14,11 +14,15 @@ import pytest
 
 import recon3d
 from recon3d.cli.arguments import sweep_of
-from recon3d.consistency import TESTS
+from recon3d.consistency import TESTS, Hysteresis, StandardDeviation
 from recon3d.consistency.deviation import Adaptive
 from recon3d.consistency.fuzzy import FuzzySingle
 from recon3d.consistency.spec import identity
+from recon3d.datasets import BuiltInScene
+from recon3d.errors import FailedTestError
+from recon3d.evaluation import measure_quality
 from recon3d.rendering.sheets import portrait
+from recon3d.scene import without_silhouettes
 from recon3d.study import trials
 from recon3d.study.variants import expand_variants
 
@@ -51,7 +55,7 @@ def runs(monkeypatch: pytest.MonkeyPatch) -> list[object]:
 
 
 @pytest.fixture(scope="module")
-def measured(temple: recon3d.BuiltInScene) -> recon3d.Comparison:
+def measured(temple: BuiltInScene) -> recon3d.Comparison:
     return recon3d.compare(
         temple.scene,
         ["fuzzy", "standard-deviation"],
@@ -111,8 +115,13 @@ def test_every_built_in_test_has_an_identity_of_its_own() -> None:
 
 def test_what_cannot_be_told_apart_has_no_identity() -> None:
     assert identity(closure(0.5)) is None
-    assert identity(recon3d.Hysteresis(closure(0.5))) is None
-    known = [accept_all, partial(accept_all, level=0.1), partial(accept_all, level=0.2), recon3d.Hysteresis(accept_all)]
+    assert identity(Hysteresis(closure(0.5))) is None
+    known = [
+        accept_all,
+        partial(accept_all, level=0.1),
+        partial(accept_all, level=0.2),
+        Hysteresis(accept_all),
+    ]
     assert len({identity(test) for test in known} - {None}) == len(known)
 
 
@@ -132,17 +141,19 @@ def test_a_test_from_a_module_is_swept_and_known_again(tmp_path: Path, monkeypat
         expand_variants(names, ("height", (1.0,)))
 
 
-def test_a_trial_is_what_the_test_does_alone(temple: recon3d.BuiltInScene, measured: recon3d.Comparison) -> None:
+def test_a_trial_is_what_the_test_does_alone(temple: BuiltInScene, measured: recon3d.Comparison) -> None:
     names = [view.name for view in temple.scene.views]
     assert measured.conditions["held_out"] == names[3::4]
     assert measured.conditions["views"] == [name for name in names if name not in names[3::4]]
     used = temple.scene.subset(measured.conditions["views"])
     for trial, test in zip(
-        measured.trials[::3], (recon3d.FuzzyAdaptiveHysteresis(), recon3d.StandardDeviation(60)), strict=True
+        measured.trials[::3],
+        (recon3d.FuzzyAdaptiveHysteresis(), StandardDeviation(60)),
+        strict=True,
     ):
         alone = recon3d.reconstruct(used, replace(SETTINGS, carving=recon3d.VoxelColoring(test)))
         assert trial.accepted == alone.carved.volume.n_occupied
-        quality = recon3d.measure_quality(alone.mesh, temple.scene.subset(names[3::4]))
+        quality = measure_quality(alone.mesh, temple.scene.subset(names[3::4]))
         assert trial.median_error == quality.overall.median
         assert trial.rms_error == quality.overall.rms
         assert trial.overlap_percent == 100 * quality.overall.overlap  # type: ignore[operator]
@@ -162,9 +173,7 @@ def test_a_test_that_leaves_nothing_is_a_row_of_its_own(measured: recon3d.Compar
     assert row[heading.index("accuracy (mm)")] == "-"
 
 
-def test_table_sheet_and_plot_are_written(
-    temple: recon3d.BuiltInScene, measured: recon3d.Comparison, tmp_path: Path
-) -> None:
+def test_table_sheet_and_plot_are_written(temple: BuiltInScene, measured: recon3d.Comparison, tmp_path: Path) -> None:
     written = measured.save(tmp_path)
     assert json.loads(written["figures"].read_text())["trials"][0]["label"] == "fuzzy"
     lines = [line for line in written["table"].read_text().splitlines() if line.startswith("|")]
@@ -185,7 +194,7 @@ def test_table_sheet_and_plot_are_written(
 
 
 def test_the_trade_off_is_precision_against_completeness_where_a_ground_truth_is(
-    temple: recon3d.BuiltInScene, measured: recon3d.Comparison
+    temple: BuiltInScene, measured: recon3d.Comparison
 ) -> None:
     axes = measured.plot().axes[0]
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("completeness (%)", "precision (%)")
@@ -194,13 +203,13 @@ def test_the_trade_off_is_precision_against_completeness_where_a_ground_truth_is
     np.testing.assert_array_equal(axes.lines[1].get_xdata(), [trial.completeness_percent for trial in swept])
     np.testing.assert_array_equal(axes.lines[1].get_ydata(), [trial.precision_percent for trial in swept])
     assert [text.get_text() for text in axes.texts] == ["", "40", "60"]
-    for scene, xlabel in ((temple.scene, "overlap (%)"), (recon3d.without_silhouettes(temple.scene), "accepted")):
+    for scene, xlabel in ((temple.scene, "overlap (%)"), (without_silhouettes(temple.scene), "accepted")):
         axes = recon3d.compare(scene, [accept_all], settings=SETTINGS).plot().axes[0]
         assert axes.get_xlabel() == xlabel
         assert len(axes.lines) == 1
 
 
-def test_views_that_are_held_out_do_not_change_the_result(temple: recon3d.BuiltInScene) -> None:
+def test_views_that_are_held_out_do_not_change_the_result(temple: BuiltInScene) -> None:
     views = list(temple.scene.views)
     views[3] = replace(views[3], photograph=views[3].image[::-1].copy())
     spoilt = replace(temple.scene, views=tuple(views))
@@ -215,7 +224,7 @@ def test_views_that_are_held_out_do_not_change_the_result(temple: recon3d.BuiltI
     assert "views that the tests used" in none.markdown()
 
 
-def test_what_is_finished_is_not_run_again(temple: recon3d.BuiltInScene, runs: list[object], tmp_path: Path) -> None:
+def test_what_is_finished_is_not_run_again(temple: BuiltInScene, runs: list[object], tmp_path: Path) -> None:
     def interrupted(stage: str, done: int, _total: int) -> None:
         if (stage, done) == ("tests", 1):
             raise KeyboardInterrupt
@@ -236,7 +245,7 @@ def test_what_is_finished_is_not_run_again(temple: recon3d.BuiltInScene, runs: l
     assert len(runs) == 5
 
 
-def test_other_inputs_are_another_trial(temple: recon3d.BuiltInScene, runs: list[object], tmp_path: Path) -> None:
+def test_other_inputs_are_another_trial(temple: BuiltInScene, runs: list[object], tmp_path: Path) -> None:
     inputs: dict[str, object] = {
         "scene": temple.scene,
         "settings": replace(SETTINGS, n_voxels=4000),
@@ -248,7 +257,7 @@ def test_other_inputs_are_another_trial(temple: recon3d.BuiltInScene, runs: list
     changes: list[dict[str, object]] = [
         {},
         {"scene": replace(temple.scene, views=(replace(first, photograph=255 - first.image), *others))},
-        {"scene": recon3d.without_silhouettes(temple.scene)},
+        {"scene": without_silhouettes(temple.scene)},
         {"hold_out": 5},
         {"settings": replace(SETTINGS, n_voxels=5000)},
         {"accuracy_percent": 80.0},
@@ -270,20 +279,20 @@ def test_other_inputs_are_another_trial(temple: recon3d.BuiltInScene, runs: list
     ],
 )
 def test_a_wrong_condition_is_refused_before_any_work(
-    options: dict[str, object], message: str, temple: recon3d.BuiltInScene, runs: list[object]
+    options: dict[str, object], message: str, temple: BuiltInScene, runs: list[object]
 ) -> None:
     with pytest.raises(ValueError, match=message):
         recon3d.compare(temple.scene, ["fuzzy"], **options)  # type: ignore[arg-type]
     assert not runs
 
 
-def test_an_error_of_a_test_names_it(temple: recon3d.BuiltInScene) -> None:
+def test_an_error_of_a_test_names_it(temple: BuiltInScene) -> None:
     def short(patches: recon3d.Patches) -> recon3d.Verdict:
         return accept_all(patches.part(0, 1)) if patches.n_voxels else accept_all(patches)
 
-    with pytest.raises(recon3d.FailedTestError, match=r"^mine: .* judged 1 voxels of "):
+    with pytest.raises(FailedTestError, match=r"^mine: .* judged 1 voxels of "):
         recon3d.compare(temple.scene, {"mine": short}, settings=SETTINGS)
-    with pytest.raises(recon3d.FailedTestError, match=r"^mine: .*expected a Verdict, got int"):
+    with pytest.raises(FailedTestError, match=r"^mine: .*expected a Verdict, got int"):
         recon3d.compare(temple.scene, {"mine": lambda _: 3}, settings=SETTINGS)  # type: ignore[dict-item,return-value]
 
 

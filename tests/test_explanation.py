@@ -35,7 +35,9 @@ from recon3d.carving.visibility import sweep_direction
 from recon3d.datasets.synthetic import BuiltInScene
 from recon3d.explaining.evidence import PixelKind
 from recon3d.explaining.pointing import voxels_on_ray
+from recon3d.io import Checkpoints, write_middlebury
 from recon3d.scene.bounds import Bounds
+from recon3d.stereo import PASSES
 
 OBSERVED = [name for name, method in METHODS.items() if method.uses_test]
 
@@ -341,8 +343,8 @@ def test_an_unknown_view_is_named_and_the_known_ones_too() -> None:
 
 
 def test_a_sharp_result_is_explained_with_what_matching_left(temple: BuiltInScene, tmp_path: Path) -> None:
-    settings = Settings(n_voxels=8000, carving=recon3d.VisualHull(), matching=recon3d.PASSES)
-    checkpoints = recon3d.Checkpoints(tmp_path)
+    settings = Settings(n_voxels=8000, carving=recon3d.VisualHull(), matching=PASSES)
+    checkpoints = Checkpoints(tmp_path)
     sharp = recon3d.reconstruct(temple.scene, settings, checkpoints=checkpoints)
     hull = sharp.carved.dense()
     carved = recon3d.carve(temple.scene, settings.lattice(temple.scene), recon3d.VisualHull()).dense().labels
@@ -384,7 +386,7 @@ def saved(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Folder of a result by a user's own test, in a current directory that holds the test."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "my_own_test.py").write_text(OWN_TEST)
-    recon3d.write_middlebury(world(), tmp_path / "photographs")
+    write_middlebury(world(), tmp_path / "photographs")
     typed(
         monkeypatch, "reconstruct", "photographs", "--voxels", 2500, "-o", tmp_path / "out", "--no-pictures",
         "--method", "voxel-coloring", "--test", "my_own_test:at_most", "--test-option", "spread=70",

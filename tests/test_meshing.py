@@ -7,7 +7,9 @@ import open3d as o3d
 import pytest
 from scenes import ball_volume, edge_counts, lattice_of, signed_volume
 
-from recon3d import BuiltInScene, CarvedVolume, FineVisualHull, Label, Meshing, VisualHull, carve, mesh
+from recon3d import CarvedVolume, Label, Meshing, VisualHull, carve, mesh
+from recon3d.carving import FineVisualHull
+from recon3d.datasets import BuiltInScene
 from recon3d.surface.extraction import mesh_shape, sparse_shape
 from recon3d.surface.repair import Repairs
 

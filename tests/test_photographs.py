@@ -10,8 +10,12 @@ from numpy.typing import NDArray
 from scenes import ball_mesh, box_mesh, cameras, photographs
 
 import recon3d
+from recon3d.datasets import BuiltInScene
 from recon3d.evaluation.photographs import Reprojection, measure_quality
 from recon3d.evaluation.shape import ShapeQuality
+from recon3d.rendering import Renderer
+from recon3d.scene import without_silhouettes
+from recon3d.surface import mesh_volume
 
 
 def without(mesh: o3d.geometry.TriangleMesh, removed: list[int]) -> o3d.geometry.TriangleMesh:
@@ -95,7 +99,7 @@ def test_a_triangle_without_area_has_no_say_in_the_angles() -> None:
     assert ShapeQuality.of(_mesh(points, folded[:1])).dihedral_degrees == 0
 
 
-def test_a_mesh_without_triangles_is_refused(temple: recon3d.BuiltInScene) -> None:
+def test_a_mesh_without_triangles_is_refused(temple: BuiltInScene) -> None:
     with pytest.raises(ValueError, match="no triangles"):
         measure_quality(o3d.geometry.TriangleMesh(), temple.scene)
     with pytest.raises(ValueError, match="max_pixels of at least 1, got 0"):
@@ -108,7 +112,7 @@ def striped() -> tuple[o3d.geometry.TriangleMesh, recon3d.Scene]:
     mesh = ball_mesh(1.0, 20)
     levels = 0.2 + 0.4 * np.random.default_rng(0).random((len(mesh.vertices), 3))
     mesh.vertex_colors = o3d.utility.Vector3dVector(levels)
-    scene, renderer = photographs(mesh, taken_by=cameras(3)), recon3d.Renderer(mesh)
+    scene, renderer = photographs(mesh, taken_by=cameras(3)), Renderer(mesh)
     views = []
     for view in scene.views:
         rendering = renderer.render_view(view)
@@ -144,9 +148,9 @@ def test_an_error_that_few_pixels_have_moves_the_mean_and_not_the_median(
     assert found.rms == pytest.approx(np.sqrt(share * 50**2 + (1 - share) * 10**2), abs=0.2)
 
 
-def test_larger_photographs_are_sampled_at_pixels_as_they_are(temple: recon3d.BuiltInScene) -> None:
-    mesh = recon3d.mesh_volume(recon3d.VisualHull().carve(temple.scene, _volume(temple.scene)).volume)
-    view, renderer = temple.scene.views[2], recon3d.Renderer(mesh)
+def test_larger_photographs_are_sampled_at_pixels_as_they_are(temple: BuiltInScene) -> None:
+    mesh = mesh_volume(recon3d.VisualHull().carve(temple.scene, _volume(temple.scene)).volume)
+    view, renderer = temple.scene.views[2], Renderer(mesh)
     rendering = renderer.render_view(view)
     assert view.silhouette is not None
     for pixels, taken in (
@@ -181,7 +185,7 @@ def test_all_views_together_weigh_every_pixel_the_same() -> None:
 
 def test_what_is_not_known_is_none(striped: tuple[o3d.geometry.TriangleMesh, recon3d.Scene]) -> None:
     mesh, scene = striped
-    bare = recon3d.without_silhouettes(scene)
+    bare = without_silhouettes(scene)
     assert measure_quality(mesh, bare).overall.overlap is None
     colourless = measure_quality(ball_mesh(), scene)
     assert colourless.overall.median is colourless.overall.mean is colourless.overall.rms is None

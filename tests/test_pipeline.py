@@ -12,17 +12,24 @@ import pytest
 from scipy.spatial import cKDTree
 
 import recon3d
+from recon3d.datasets import BuiltInScene
+from recon3d.evaluation import evaluate_files, triangles_near
+from recon3d.io import read_geometry, read_support, write_middlebury
 from recon3d.io.geometry import geometry_arrays
+from recon3d.rendering import Renderer
+from recon3d.reporting import error_map, save_error_maps, save_pictures
+from recon3d.stereo import PASSES
+from recon3d.surface import VertexVisibility, mesh_volume
 
 
 @pytest.fixture(scope="module")
-def result(temple: recon3d.BuiltInScene) -> recon3d.Reconstruction:
+def result(temple: BuiltInScene) -> recon3d.Reconstruction:
     settings = recon3d.Settings(n_voxels=60_000, carving=recon3d.VoxelColoring())
     return recon3d.reconstruct(temple.scene, settings, ground_truth=temple.ground_truth)
 
 
-def test_five_lines_do_the_whole_job(temple: recon3d.BuiltInScene, tmp_path: Path) -> None:
-    folder = recon3d.write_middlebury(temple.scene, tmp_path / "photographs")
+def test_five_lines_do_the_whole_job(temple: BuiltInScene, tmp_path: Path) -> None:
+    folder = write_middlebury(temple.scene, tmp_path / "photographs")
     scene = recon3d.open_scene(folder)
     result = recon3d.reconstruct(scene, recon3d.Settings(n_voxels=60_000))
     figures = recon3d.evaluate(result.mesh, temple.ground_truth)
@@ -38,14 +45,14 @@ def test_what_is_saved_reads_back_as_it_was(result: recon3d.Reconstruction, tmp_
     mesh = recon3d.read_mesh(written["mesh (ply)"])
     np.testing.assert_allclose(np.asarray(mesh.vertices), np.asarray(result.mesh.vertices), atol=1e-12)
     assert mesh.has_vertex_colors()
-    np.testing.assert_array_equal(recon3d.read_support(written["mesh (ply)"]), result.support)
+    np.testing.assert_array_equal(read_support(written["mesh (ply)"]), result.support)
     for name in ("obj", "glb", "stl"):
         assert len(recon3d.read_mesh(written[f"mesh ({name})"]).triangles) == len(result.mesh.triangles)
-    cloud = recon3d.read_geometry(written["points"])
+    cloud = read_geometry(written["points"])
     assert isinstance(cloud, o3d.geometry.PointCloud)
     assert cloud.has_normals()
     assert cloud.has_colors()
-    grid = recon3d.read_geometry(written["voxel grid"])
+    grid = read_geometry(written["voxel grid"])
     assert isinstance(grid, o3d.geometry.VoxelGrid)
     volume = recon3d.CarvingVolume.from_voxel_grid(grid, shape=result.carved.volume.shape)
     np.testing.assert_array_equal(volume.occupied, result.carved.volume.occupied)
@@ -84,7 +91,7 @@ def test_the_record_holds_every_parameter_version_timing_and_figure(
 
 
 def test_pictures_show_the_object_on_white(result: recon3d.Reconstruction, tmp_path: Path) -> None:
-    written = recon3d.save_pictures(result.mesh, result.scene, tmp_path, every_view=True)
+    written = save_pictures(result.mesh, result.scene, tmp_path, every_view=True)
     strip = np.asarray(o3d.io.read_image(str(written["turntable"])))
     assert strip.shape == (320, 8 * 320, 3)
     assert (strip[0] == 255).all()
@@ -96,11 +103,11 @@ def test_pictures_of_views_in_folders_do_not_overwrite_each_other(
     result: recon3d.Reconstruction, tmp_path: Path
 ) -> None:
     views = tuple(replace(view, name=f"{n}/001.png") for n, view in enumerate(result.scene.views))
-    written = recon3d.save_pictures(result.mesh, replace(result.scene, views=views), tmp_path, every_view=True)
+    written = save_pictures(result.mesh, replace(result.scene, views=views), tmp_path, every_view=True)
     assert len(list(written["views"].iterdir())) == 4 * len(views)
 
 
-def test_filling_what_is_hidden_makes_the_mesh_solid(temple: recon3d.BuiltInScene) -> None:
+def test_filling_what_is_hidden_makes_the_mesh_solid(temple: BuiltInScene) -> None:
     settings = recon3d.Settings(n_voxels=60_000, carving=recon3d.VoxelColoring())
     shell = recon3d.reconstruct(temple.scene, settings)
     solid = recon3d.reconstruct(temple.scene, replace(settings, meshing=recon3d.Meshing(fill_hidden=True)))
@@ -114,7 +121,7 @@ def _volume(mesh: o3d.geometry.TriangleMesh) -> float:
 
 
 def test_the_mesh_has_the_views_colours_and_its_support(result: recon3d.Reconstruction) -> None:
-    np.testing.assert_array_equal(result.support, recon3d.VertexVisibility.of(result.mesh, result.scene).n_views)
+    np.testing.assert_array_equal(result.support, VertexVisibility.of(result.mesh, result.scene).n_views)
     colored = recon3d.color(result.mesh, result.scene)
     np.testing.assert_array_equal(np.asarray(result.mesh.vertex_colors), np.asarray(colored.vertex_colors))
     support = result.record()["mesh"]["support"]
@@ -163,12 +170,10 @@ def test_the_mesh_is_nearer_to_photographs_left_out_than_its_voxels() -> None:
     left_out = scene.views[2::5]
     used = replace(scene, views=tuple(view for view in scene.views if view.name not in [v.name for v in left_out]))
     result = recon3d.reconstruct(used, recon3d.Settings(n_voxels=200_000, carving=recon3d.VisualHull()))
-    voxels = recon3d.mesh_volume(
-        result.carved.with_interior, colors_from=result.carved.volume, distance=result.carved.distance
-    )
+    voxels = mesh_volume(result.carved.with_interior, colors_from=result.carved.volume, distance=result.carved.distance)
 
     def difference(mesh: o3d.geometry.TriangleMesh) -> float:
-        renderings = [recon3d.Renderer(mesh).render_view(view) for view in left_out]
+        renderings = [Renderer(mesh).render_view(view) for view in left_out]
         shown = [rendering.hit & view.silhouette for rendering, view in zip(renderings, left_out, strict=True)]
         pairs = [255 * r.colors[s] - view.image[s] for r, s, view in zip(renderings, shown, left_out, strict=True)]
         return float(np.median(np.abs(np.concatenate(pairs)).mean(axis=1)))
@@ -177,7 +182,7 @@ def test_the_mesh_is_nearer_to_photographs_left_out_than_its_voxels() -> None:
     assert difference(result.mesh) < 0.8 * difference(voxels)
 
 
-def test_specks_are_dropped_unless_all_pieces_are_wanted(temple: recon3d.BuiltInScene) -> None:
+def test_specks_are_dropped_unless_all_pieces_are_wanted(temple: BuiltInScene) -> None:
     settings = recon3d.Settings(
         n_voxels=20_000, carving=recon3d.VoxelColoring(), meshing=recon3d.Meshing(min_component=0)
     )
@@ -191,7 +196,7 @@ def test_specks_are_dropped_unless_all_pieces_are_wanted(temple: recon3d.BuiltIn
     assert len(tidy.mesh.triangles) < len(everything.mesh.triangles)
 
 
-def test_a_mesh_without_what_is_unseen_is_manifold(temple: recon3d.BuiltInScene) -> None:
+def test_a_mesh_without_what_is_unseen_is_manifold(temple: BuiltInScene) -> None:
     settings = recon3d.Settings(
         n_voxels=60_000, carving=recon3d.VisualHull(), meshing=recon3d.Meshing(keep_unsupported=False)
     )
@@ -202,7 +207,7 @@ def test_a_mesh_without_what_is_unseen_is_manifold(temple: recon3d.BuiltInScene)
     assert result.supported_share == 1
 
 
-def test_progress_is_reported_stage_by_stage(temple: recon3d.BuiltInScene) -> None:
+def test_progress_is_reported_stage_by_stage(temple: BuiltInScene) -> None:
     seen: list[tuple[str, int, int]] = []
     recon3d.reconstruct(
         temple.scene,
@@ -214,7 +219,7 @@ def test_progress_is_reported_stage_by_stage(temple: recon3d.BuiltInScene) -> No
     assert {stage for stage, _, _ in seen} == {"carving", "surface", "quality"}
 
 
-def test_views_are_chosen_by_the_constraint_by_name_or_all(temple: recon3d.BuiltInScene) -> None:
+def test_views_are_chosen_by_the_constraint_by_name_or_all(temple: BuiltInScene) -> None:
     scene = temple.scene
     names = [view.name for view in scene.views]
     for views, expected in (("all", names), (("view0[12].png",), names[:2])):
@@ -253,14 +258,14 @@ def test_the_temple_is_as_near_to_the_reference_surface_as_the_paper_says(real_d
     scene = recon3d.open_scene(real_data / "templeSparseRing", silhouettes="threshold")
     result = recon3d.reconstruct(scene, settings)
     closed = recon3d.read_mesh(reference / "temple_reference_closed.ply")
-    real = recon3d.triangles_near(closed, recon3d.read_mesh(reference / "temple_reference.ply"), 1e-4)
+    real = triangles_near(closed, recon3d.read_mesh(reference / "temple_reference.ply"), 1e-4)
     figures = recon3d.evaluate(result.mesh, closed, valid=real)
     assert figures.accuracy_mm < 8.97  # the paper's figure
     assert 20 < figures.completeness_percent < 72.1  # its thresholds leave holes here: see the README
 
 
 @pytest.fixture(scope="module")
-def sharp(temple: recon3d.BuiltInScene) -> recon3d.Reconstruction:
+def sharp(temple: BuiltInScene) -> recon3d.Reconstruction:
     settings = recon3d.Settings(
         n_voxels=30_000, meshing=recon3d.Meshing(surface="graph-cut", keep_unsupported=True, min_component=50)
     )
@@ -275,7 +280,7 @@ def distances_to_points(result: recon3d.Reconstruction) -> np.ndarray:
 
 def test_a_sharp_mesh_is_supported_near_its_points_alone(sharp: recon3d.Reconstruction) -> None:
     near = distances_to_points(sharp) < 3  # two spacings of a pixel and a half
-    seen = recon3d.VertexVisibility.of(sharp.mesh, sharp.scene).n_views
+    seen = VertexVisibility.of(sharp.mesh, sharp.scene).n_views
     assert (seen[~near] > 0).any()
     np.testing.assert_array_equal(sharp.support, np.where(near, seen, 0))
 
@@ -284,7 +289,7 @@ def test_a_sharp_result_is_saved_with_confidence_support_and_settings(
     sharp: recon3d.Reconstruction, tmp_path: Path
 ) -> None:
     written = recon3d.save(sharp, tmp_path, pictures=False)
-    np.testing.assert_array_equal(recon3d.read_support(written["mesh (ply)"]), sharp.support)
+    np.testing.assert_array_equal(read_support(written["mesh (ply)"]), sharp.support)
     cloud = o3d.t.io.read_point_cloud(str(written["points"]))
     np.testing.assert_allclose(cloud.point.positions.numpy(), np.asarray(sharp.points.points), rtol=1e-6)
     assert cloud.point.colors.dtype == o3d.core.uint8  # as every viewer of PLY takes them
@@ -294,13 +299,13 @@ def test_a_sharp_result_is_saved_with_confidence_support_and_settings(
     record = json.loads(written["figures"].read_text())
     assert {"carving", "matching", "surface"} <= set(record["timings_s"])
     assert recon3d.Settings.from_record(record["settings"]) == sharp.settings
-    assert sharp.settings.matching == recon3d.PASSES
+    assert sharp.settings.matching == PASSES
     assert sharp.settings.meshing.surface == "graph-cut"
 
 
 @pytest.mark.parametrize("surface", ["poisson", "graph-cut"])
 def test_without_what_is_unsupported_a_sharp_mesh_is_near_its_points_and_seen(
-    temple: recon3d.BuiltInScene, surface: recon3d.surface.Surface
+    temple: BuiltInScene, surface: recon3d.surface.Surface
 ) -> None:
     settings = recon3d.Settings(n_voxels=20_000, meshing=recon3d.Meshing(surface=surface, keep_unsupported=False))
     result = recon3d.reconstruct(temple.scene, settings)
@@ -320,12 +325,15 @@ def test_cutting_away_what_is_unsupported_leaves_no_small_components(carving: re
     assert min(areas) >= settings.meshing.min_component * result.carved.volume.voxel_size**2
 
 
-def test_error_maps_show_what_is_wrong_and_what_is_missing(temple: recon3d.BuiltInScene, tmp_path: Path) -> None:
+def test_error_maps_show_what_is_wrong_and_what_is_missing(temple: BuiltInScene, tmp_path: Path) -> None:
     truth = recon3d.write_geometry(tmp_path / "truth.ply", temple.ground_truth)
     moved = o3d.geometry.TriangleMesh(temple.ground_truth).translate((0.05, 0, 0))
     shifted = recon3d.write_geometry(tmp_path / "shifted.ply", moved)
-    written = recon3d.save_error_maps(shifted, truth, tmp_path)
-    right, wrong = recon3d.error_map(temple.ground_truth, temple.ground_truth), recon3d.read_mesh(written["errors"])
+    written = save_error_maps(shifted, truth, tmp_path)
+    right, wrong = (
+        error_map(temple.ground_truth, temple.ground_truth),
+        recon3d.read_mesh(written["errors"]),
+    )
     blue, red = np.asarray(right.vertex_colors), np.asarray(wrong.vertex_colors)
     assert np.unique(blue, axis=0).shape == (1, 3)  # no vertex is off
     assert (red[:, 0] > red[:, 2]).mean() > 0.5  # most are 50 mm off, or half an object's width
@@ -339,7 +347,7 @@ def test_the_temple_from_all_sixteen_views_beats_the_figures_that_the_paper_name
     scene = recon3d.open_scene(real_data / "templeSparseRing")
     result = recon3d.reconstruct(scene, recon3d.Settings(meshing=recon3d.Meshing(keep_unsupported=False)))
     closed = recon3d.read_mesh(reference / "temple_reference_closed.ply")
-    real = recon3d.triangles_near(closed, recon3d.read_mesh(reference / "temple_reference.ply"), 1e-4)
+    real = triangles_near(closed, recon3d.read_mesh(reference / "temple_reference.ply"), 1e-4)
     figures = recon3d.evaluate(result.mesh, closed, valid=real)
     # The best in the paper's table: Tran and Davis, against the official ground truth.
     assert figures.accuracy_mm < 1.53
@@ -352,10 +360,10 @@ def test_what_only_the_hull_closes_can_be_left_out_of_the_measurement(tmp_path: 
     support = np.repeat([2, 0], len(ball.vertices))
     both = recon3d.write_geometry(tmp_path / "mesh.ply", ball + wrong, support=support)
     truth = recon3d.write_geometry(tmp_path / "truth.ply", ball)
-    assert recon3d.evaluate_files(both, truth, mm_per_unit=1.0).accuracy_mm > 3
-    assert recon3d.evaluate_files(both, truth, mm_per_unit=1.0, supported=True).accuracy_mm < 0.05
+    assert evaluate_files(both, truth, mm_per_unit=1.0).accuracy_mm > 3
+    assert evaluate_files(both, truth, mm_per_unit=1.0, supported=True).accuracy_mm < 0.05
     with pytest.raises(recon3d.DataError, match="without support"):
-        recon3d.evaluate_files(truth, truth, supported=True)
+        evaluate_files(truth, truth, supported=True)
     nothing = recon3d.write_geometry(tmp_path / "nothing.ply", ball, support=np.zeros(len(ball.vertices), np.int64))
     with pytest.raises(recon3d.DataError, match="no triangle"):
-        recon3d.evaluate_files(nothing, truth, supported=True)
+        evaluate_files(nothing, truth, supported=True)

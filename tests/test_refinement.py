@@ -26,8 +26,9 @@ from scenes import (
 from scipy.spatial import cKDTree
 
 import recon3d
-from recon3d import CarvedVolume, CarvingVolume, EmptyReconstructionError, Scene, SceneError, View
+from recon3d import CarvedVolume, CarvingVolume, Scene, SceneError, View
 from recon3d.datasets.synthetic import Camera
+from recon3d.errors import EmptyReconstructionError
 from recon3d.scene.neighbours import matching_neighbours
 from recon3d.stereo.fusion import fuse
 from recon3d.stereo.patch_match import DepthMap, Matching, guide_views, match_view, plane_normals

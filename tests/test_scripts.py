@@ -25,7 +25,7 @@ def test_the_papers_page_has_every_part_and_is_taken_up_where_it_was_left(
 ) -> None:
     monkeypatch.setattr("recon3d.evaluation.distances.SAMPLES_PER_DIAGONAL", 100)
     main = script("reproduce_paper", monkeypatch).main
-    folder = recon3d.write_middlebury(temple.scene, tmp_path / "photographs")
+    folder = recon3d.io.write_middlebury(temple.scene, tmp_path / "photographs")
     truth = recon3d.write_geometry(tmp_path / "truth.ply", temple.ground_truth)
     options = {"temple_truth": truth, "rose": folder, "output": tmp_path / "page", "voxels": 4000}
     main(folder, folder, **options)
@@ -59,7 +59,7 @@ def test_the_f_score_falls_from_all_to_none(temple: BuiltInScene, monkeypatch: p
     result = recon3d.reconstruct(temple.scene, recon3d.Settings(n_voxels=20_000, carving=recon3d.VoxelColoring()))
     monkeypatch.setattr("recon3d.reconstruct", lambda *_: result)
     scores = [
-        tune.Measured(temple.scene, moved).f_score(recon3d.StandardDeviation())
+        tune.Measured(temple.scene, moved).f_score(recon3d.consistency.StandardDeviation())
         for moved in (TriangleMesh(result.mesh).translate((shift, 0, 0)) for shift in (0.0, 0.02, 1.0))
     ]
     assert scores[0] == 100

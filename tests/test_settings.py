@@ -14,14 +14,21 @@ import pytest
 
 import recon3d
 from recon3d import Matching, Meshing, Settings
-from recon3d.carving import METHODS, Method
+from recon3d.carving import METHODS, GeneralizedVoxelColoring, Method, SpaceCarving
+from recon3d.consistency import Hysteresis, StandardDeviation
+from recon3d.datasets import BuiltInScene
 from recon3d.errors import ArgumentError, SceneError
 from recon3d.io.files import write_json
+from recon3d.scene import without_silhouettes
+from recon3d.stereo import PASSES
 
 CHOICES = (
     Settings(),
     Settings(views="all", voxel_size=0.01, carving=recon3d.VoteCarving(min_score=0.7), matching=None),
-    Settings(views=("a*", "b"), carving=recon3d.VoxelColoring(recon3d.Hysteresis(recon3d.StandardDeviation(20), 0.1))),
+    Settings(
+        views=("a*", "b"),
+        carving=recon3d.VoxelColoring(Hysteresis(StandardDeviation(20), 0.1)),
+    ),
     Settings(max_views=8, n_voxels=2000, carving=recon3d.VoxelColoring(connectivity=6), meshing=Meshing(smoothing=0)),
     Settings(matching=(Matching(stride=4), Matching()), meshing=Meshing("graph-cut", keep_unsupported=False)),
 )
@@ -41,9 +48,7 @@ def test_settings_copy_compare_hash_pickle_merge_and_record_themselves(settings:
 
 
 @pytest.mark.parametrize("name", METHODS)
-def test_every_method_copies_compares_hashes_pickles_and_records_itself(
-    name: str, temple: recon3d.BuiltInScene
-) -> None:
+def test_every_method_copies_compares_hashes_pickles_and_records_itself(name: str, temple: BuiltInScene) -> None:
     method = METHODS[name]()
     assert pickle.loads(pickle.dumps(method)) == method == copy.deepcopy(method)  # noqa: S301
     assert hash(METHODS[name]()) == hash(method)
@@ -80,14 +85,18 @@ def test_every_method_copies_compares_hashes_pickles_and_records_itself(
         ({"meshing": {"surface": "poisson"}}, "expected meshing to be a Meshing"),
         ({"meshing": Meshing(fill_hidden=True)}, "fill_hidden: expected a one-sided carving method"),
         (
-            {"meshing": Meshing(fill_hidden=True), "carving": recon3d.SpaceCarving()},
+            {"meshing": Meshing(fill_hidden=True), "carving": SpaceCarving()},
             "fill_hidden: expected a one-sided carving method",
         ),
         (
-            {"meshing": Meshing(fill_hidden=True), "carving": recon3d.VoxelColoring(), "matching": recon3d.PASSES},
+            {
+                "meshing": Meshing(fill_hidden=True),
+                "carving": recon3d.VoxelColoring(),
+                "matching": PASSES,
+            },
             "fill_hidden: expected matching=None",
         ),
-        ({"meshing": Meshing(smoothing=0), "matching": recon3d.PASSES}, "smoothing: expected matching=None"),
+        ({"meshing": Meshing(smoothing=0), "matching": PASSES}, "smoothing: expected matching=None"),
         ({"meshing": Meshing("graph-cut"), "matching": None}, "surface='graph-cut': expected matching"),
         ({"meshing": Meshing("graph-cut"), "carving": recon3d.VisualHull()}, "surface='graph-cut': expected matching"),
     ],
@@ -124,7 +133,7 @@ def test_bad_meshing_is_refused(bad: dict[str, Any], message: str) -> None:
             "rounds": (0, 1.5),
             "connectivity": (7, 6.0, True, "6"),
             "layering": ("rings",),
-            "test": (3, None, recon3d.StandardDeviation),
+            "test": (3, None, StandardDeviation),
             "min_score": (1, -1, float("nan"), "0.5"),
             "truncation": (0, float("inf")),
             "tolerance": (-1, 0.5),
@@ -145,24 +154,26 @@ def test_a_methods_impossible_options_are_refused(method: type[Method], bad: dic
     assert value is not None or name == "test"
 
 
-def test_what_auto_means_depends_on_the_silhouettes(temple: recon3d.BuiltInScene) -> None:
-    scene, bare = temple.scene, recon3d.without_silhouettes(temple.scene)
+def test_what_auto_means_depends_on_the_silhouettes(temple: BuiltInScene) -> None:
+    scene, bare = temple.scene, without_silhouettes(temple.scene)
     known, unknown = Settings().resolved(scene), Settings().resolved(bare)
-    assert known == Settings(n_voxels=1_000_000, carving=recon3d.VoteCarving(), matching=recon3d.PASSES)
-    assert unknown == Settings(n_voxels=1_000_000, carving=recon3d.GeneralizedVoxelColoring(), matching=None)
+    assert known == Settings(n_voxels=1_000_000, carving=recon3d.VoteCarving(), matching=PASSES)
+    assert unknown == Settings(n_voxels=1_000_000, carving=GeneralizedVoxelColoring(), matching=None)
     assert known.resolved(scene) == known
     assert Settings(voxel_size=0.1).resolved(scene).n_voxels is None
 
 
-def test_matching_is_left_out_where_a_method_is_chosen_unless_it_is_asked_for(temple: recon3d.BuiltInScene) -> None:
+def test_matching_is_left_out_where_a_method_is_chosen_unless_it_is_asked_for(
+    temple: BuiltInScene,
+) -> None:
     for method in (recon3d.VoteCarving(), recon3d.VisualHull(), recon3d.VoxelColoring()):
         assert Settings(carving=method).resolved(temple.scene).matching is None
-        assert Settings(carving=method, matching=recon3d.PASSES).resolved(temple.scene).matching == recon3d.PASSES
+        assert Settings(carving=method, matching=PASSES).resolved(temple.scene).matching == PASSES
     assert Settings(matching=None).resolved(temple.scene).matching is None
 
 
-def test_what_only_the_scene_tells_to_mean_nothing_is_refused_then(temple: recon3d.BuiltInScene) -> None:
-    bare = recon3d.without_silhouettes(temple.scene)
+def test_what_only_the_scene_tells_to_mean_nothing_is_refused_then(temple: BuiltInScene) -> None:
+    bare = without_silhouettes(temple.scene)
     with pytest.raises(ArgumentError, match="surface='graph-cut': expected matching"):
         Settings(meshing=Meshing("graph-cut")).resolved(bare)
     with pytest.raises(ArgumentError, match="smoothing: expected matching=None"):
