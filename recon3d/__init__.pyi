@@ -1,3 +1,4 @@
+from . import calibration as calibration
 from . import carving as carving
 from . import consistency as consistency
 from . import datasets as datasets
@@ -12,6 +13,7 @@ from . import study as study
 from . import surface as surface
 from . import volume as volume
 from ._version import __version__ as __version__
+from .calibration import calibrate
 from .carving import METHODS, VisualHull, VoteCarving, VoxelColoring, carve
 from .consistency import TESTS, ConsistencyTest, FuzzyAdaptiveHysteresis, Patches, Verdict, load_test
 from .datasets import SCENES, little_temple
@@ -62,6 +64,7 @@ __all__ = [
     "VisualHull",
     "VoteCarving",
     "VoxelColoring",
+    "calibrate",
     "carve",
     "color",
     "compare",

@@ -21,6 +21,10 @@ class SceneError(Recon3dError):
     """Views, bounds and images do not fit together."""
 
 
+class CalibrationError(Recon3dError):
+    """The photographs do not determine their cameras."""
+
+
 class VisibilityError(Recon3dError):
     """The cameras break the constraint that a carving method needs."""
 

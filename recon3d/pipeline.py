@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import Executor
 from contextlib import contextmanager
 from dataclasses import fields, replace
@@ -31,7 +31,7 @@ from recon3d.surface.meshing import Meshed, mesh
 from recon3d.surface.repair import Repairs, repair_mesh
 from recon3d.surface.vertex_colors import color
 from recon3d.surface.visibility import VertexVisibility
-from recon3d.tasks import Kept, Store, content_key, once
+from recon3d.tasks import Kept, StageProgress, Store, content_key, once
 from recon3d.tasks import Progress as StepProgress
 from recon3d.volume.carved import Carved, CarvedVolume
 from recon3d.volume.lattice import Lattice
@@ -40,8 +40,7 @@ from recon3d.volume.sparse import SparseVolume
 _SPACING = 1.5  # of the matched points, pixel footprints
 
 
-Progress = Callable[[str, int, int], None]
-"""Called with a stage's name, the steps of it that are done, and how many there are."""
+Progress = StageProgress
 
 
 def reconstruct(

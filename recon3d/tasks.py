@@ -21,6 +21,9 @@ from recon3d.errors import ArgumentError
 Progress = Callable[[int, int], None]
 """Called with the steps that are done and how many there are."""
 
+StageProgress = Callable[[str, int, int], None]
+"""Called with a stage's name, the steps of it that are done, and how many there are."""
+
 
 _COMPUTING = {
     "numpy": ("numpy",),

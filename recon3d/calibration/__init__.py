@@ -1,0 +1,7 @@
+"""Cameras of photographs."""
+
+from recon3d.calibration.result import CalibratedCamera, Calibration, Observations
+from recon3d.calibration.settings import CalibrationSettings
+from recon3d.calibration.structure_from_motion import calibrate
+
+__all__ = ["CalibratedCamera", "Calibration", "CalibrationSettings", "Observations", "calibrate"]

@@ -1,0 +1,36 @@
+"""``recon3d calibrate``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from recon3d.cli.arguments import progress, say, writable
+from recon3d.cli.options import INPUT, OUTPUT
+
+
+def command(
+    photographs: Annotated[Path, typer.Argument(metavar="PHOTOS", help="Folder of JPEG, PNG or TIFF files.")],
+    output: Annotated[
+        Path,
+        typer.Option("--output", "-o", metavar="SCENE", help="Folder for the scene.", rich_help_panel=OUTPUT),
+    ],
+    masks: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            help="Masks named like the photographs, black where nothing may be matched, as on the still background of "
+            "a turntable.",
+            rich_help_panel=INPUT,
+        ),
+    ] = None,
+) -> None:
+    """Find the cameras of photographs, and write them as a scene: undistorted images, COLMAP and transforms.json."""
+    from recon3d.calibration import calibrate
+
+    with progress() as report:
+        found = calibrate(photographs, writable(output), masks=masks, progress=report)
+    say(found.summary())
+    say({"scene": output})
