@@ -1,7 +1,17 @@
 """Cameras of photographs."""
 
+from recon3d.calibration.board import Board, cameras_from_board, write_board_pdf
 from recon3d.calibration.result import CalibratedCamera, Calibration, Observations
 from recon3d.calibration.settings import CalibrationSettings
 from recon3d.calibration.structure_from_motion import calibrate
 
-__all__ = ["CalibratedCamera", "Calibration", "CalibrationSettings", "Observations", "calibrate"]
+__all__ = [
+    "Board",
+    "CalibratedCamera",
+    "Calibration",
+    "CalibrationSettings",
+    "Observations",
+    "calibrate",
+    "cameras_from_board",
+    "write_board_pdf",
+]

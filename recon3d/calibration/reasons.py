@@ -51,7 +51,8 @@ def advice(n_photographs: int, pairs: Sequence[Pair], scales: Mapping[str, NDArr
     features = float(np.median([len(found) for found in scales.values()]))
     return (
         f"They have {features:.0f} features (median) and overlap {2 * len(verified) / n_photographs:.1f} others "
-        "(mean): give the object texture or stand it on printed paper, and photograph it in steps of about 10 degrees"
+        "(mean): give the object texture or stand it on printed paper, photograph it in steps of about 10 degrees, or "
+        "stand it on a printed board, which needs no texture: recon3d board, then recon3d calibrate --board"
     )
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from recon3d.errors import ArgumentError
+
 
 @dataclass(frozen=True)
 class CalibrationSettings:
@@ -25,14 +27,14 @@ class CalibrationSettings:
 
     def __post_init__(self) -> None:
         if self.max_image_size < 64 or self.max_features < 64:
-            raise ValueError(
+            raise ArgumentError(
                 "expected max_image_size and max_features of at least 64, "
                 f"got {self.max_image_size} and {self.max_features}"
             )
         if self.exhaustive_up_to < 2 or self.principal_point_from < 2:
-            raise ValueError(
+            raise ArgumentError(
                 "expected exhaustive_up_to and principal_point_from of at least 2, "
                 f"got {self.exhaustive_up_to} and {self.principal_point_from}"
             )
         if not 0 < self.min_registered <= 1:
-            raise ValueError(f"expected 0 < min_registered <= 1, got {self.min_registered}")
+            raise ArgumentError(f"expected 0 < min_registered <= 1, got {self.min_registered}")

@@ -20,6 +20,7 @@ from recon3d.errors import ArgumentError, DataError
 if TYPE_CHECKING:  # Open3D takes seconds to import, --help should not
     import open3d as o3d
 
+    from recon3d.calibration import Calibration
     from recon3d.carving import Method
     from recon3d.consistency.base import ConsistencyTest
     from recon3d.datasets.synthetic import BuiltInScene
@@ -51,6 +52,18 @@ def load(scene: str, bounds: str | None, silhouettes: str, mm_per_unit: float = 
         loaded = open_scene(scene, bounds=box, silhouettes=silhouettes, mm_per_unit=mm_per_unit)
         report("reading", 1, 1)
     return loaded
+
+
+def calibrated(photographs: Path, output: Path, board: str | None = None, masks: Path | None = None) -> Calibration:
+    """Cameras of plain photographs, by a printed board where one is named; writes the scene to a folder."""
+    from recon3d.calibration import Board, calibrate, cameras_from_board
+
+    if board is not None and masks is not None:
+        raise ArgumentError("--masks: the board alone is looked for, masks are not used; leave out --board or --masks")
+    with progress() as report:
+        if board is None:
+            return calibrate(photographs, output, masks=masks, progress=report)
+        return cameras_from_board(photographs, Board.parse(board), output=output, progress=report)
 
 
 def photograph(name: str, **options: Any) -> BuiltInScene:

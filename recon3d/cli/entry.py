@@ -13,7 +13,7 @@ from typing import Annotated
 import typer
 
 from recon3d._version import __version__
-from recon3d.cli.commands import calibrate, compare, demo, evaluate, explain, info, reconstruct, render
+from recon3d.cli.commands import board, calibrate, compare, demo, evaluate, explain, info, reconstruct, render
 from recon3d.errors import ArgumentError, FailedTestError, Recon3dError
 
 app = typer.Typer(
@@ -25,6 +25,7 @@ app = typer.Typer(
 )
 app.command("demo")(demo.command)
 app.command("info")(info.command)
+app.command("board")(board.command)
 app.command("calibrate")(calibrate.command)
 app.command("reconstruct")(reconstruct.command)
 app.command("evaluate")(evaluate.command)

@@ -32,6 +32,16 @@ Bounds = Annotated[
 ]
 
 
+Board = Annotated[
+    str | None,
+    typer.Option(
+        metavar="charuco-10x7:25mm",
+        help="Printed board of recon3d board that the photographs show: gives cameras, millimetres, up and bounds.",
+        rich_help_panel=INPUT,
+    ),
+]
+
+
 Silhouettes = Annotated[
     str,
     typer.Option(

@@ -7,7 +7,8 @@ from typing import Annotated
 
 import typer
 
-from recon3d.cli.arguments import progress, say, writable
+from recon3d.cli import options
+from recon3d.cli.arguments import calibrated, say, writable
 from recon3d.cli.options import INPUT, OUTPUT
 
 
@@ -17,6 +18,7 @@ def command(
         Path,
         typer.Option("--output", "-o", metavar="SCENE", help="Folder for the scene.", rich_help_panel=OUTPUT),
     ],
+    board: options.Board = None,
     masks: Annotated[
         Path | None,
         typer.Option(
@@ -28,9 +30,5 @@ def command(
     ] = None,
 ) -> None:
     """Find the cameras of photographs, and write them as a scene: undistorted images, COLMAP and transforms.json."""
-    from recon3d.calibration import calibrate
-
-    with progress() as report:
-        found = calibrate(photographs, writable(output), masks=masks, progress=report)
-    say(found.summary())
+    say(calibrated(photographs, writable(output), board, masks).summary())
     say({"scene": output})
