@@ -1,7 +1,6 @@
-"""Runs of the paper's method, each in a folder of its own and taken up again from there."""
+"""Runs of the paper's method; finished ones are kept."""
 
 import json
-import re
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -14,8 +13,11 @@ from open3d.geometry import TriangleMesh
 
 import recon3d
 from recon3d.carving.visibility import sweep_direction
+from recon3d.io import Checkpoints
+from recon3d.io.geometry import from_arrays, geometry_arrays
 from recon3d.rendering.sheets import portrait
 from recon3d.settings import choose_views
+from recon3d.tasks import Arrays, Kept, content_key, once
 
 PROPOSED = recon3d.VoxelColoring()
 HEAD = ("", "voxels accepted", "carving", "accuracy (90%)", "completeness (1.25 mm)")
@@ -37,7 +39,7 @@ def first_views(scene: recon3d.Scene, count: int) -> recon3d.Scene:
 
 @dataclass(frozen=True)
 class Result:
-    """A finished run, as its folder holds it; no record: nothing was left."""
+    """A finished run; no record: nothing was left."""
 
     title: str
     scene: recon3d.Scene
@@ -87,22 +89,19 @@ class DataSet:
         carving: recon3d.VoxelColoring = PROPOSED,
         **options: Any,
     ) -> Result:
-        """The paper's method with a change, from its folder where it has been run before."""
+        """The paper's method with a change; a run that is finished is not made again."""
         if title in self.results:
             return self.results[title]
         everything = photographs(self.folder, silhouettes)
         scene = everything if views is None else first_views(everything, views)
         settings = recon3d.Settings(**{"n_voxels": self.n_voxels, "carving": carving, **options})
         settings = settings.resolved(scene)
-        folder = self.runs / self.name / re.sub(r"\W+", "-", title).strip("-")
         print(f"{self.name}: {title}", flush=True)
-        record = finished(folder, scene, settings)
-        if record is None:
-            try:
-                record = reconstruct_into(folder, scene, settings)
-            except recon3d.errors.EmptyReconstructionError:
-                return self.results.setdefault(title, Result(title, scene))
-        mesh = recon3d.read_mesh(folder / "mesh.ply")
+        kept = Kept(Checkpoints(self.runs / self.name), content_key(scene, settings.record()), _arrays, _restored)
+        try:
+            record, mesh = once(reconstructed, title, (scene, settings), kept=kept)
+        except recon3d.errors.EmptyReconstructionError:
+            return self.results.setdefault(title, Result(title, scene))
         evaluation = recon3d.evaluate(mesh, self.truth, valid=self.valid) if self.truth else None
         scene = scene.subset(record["scene"]["views"])
         return self.results.setdefault(title, Result(title, scene, record, mesh, evaluation))
@@ -112,20 +111,20 @@ class DataSet:
         return self.run("proposed")
 
 
-def finished(folder: Path, scene: recon3d.Scene, settings: recon3d.Settings) -> dict[str, Any] | None:
-    """Record of a run that a folder holds, if it is of this scene, these settings and this version."""
-    if not (folder / "record.json").is_file():
-        return None
-    record: dict[str, Any] = json.loads((folder / "record.json").read_text())
-    wanted = (settings.record(), choose_views(scene, settings), scene.notes, recon3d.__version__)
-    expected = [wanted[0], [view.name for view in wanted[1].views], wanted[2]["source"], wanted[3]]
-    found = [record["settings"], record["scene"]["views"], record["scene"]["source"], record["recon3d"]]
-    return record if found == json.loads(json.dumps(expected)) else None
-
-
-def reconstruct_into(folder: Path, scene: recon3d.Scene, settings: recon3d.Settings) -> dict[str, Any]:
-    """Reconstruct and save; returns the record."""
+def reconstructed(scene: recon3d.Scene, settings: recon3d.Settings) -> tuple[dict[str, Any], TriangleMesh]:
+    """Record and mesh of a run."""
     with suppress(recon3d.errors.EmptyReconstructionError):  # compiled first, so that the time is the method's own
         recon3d.reconstruct(scene, replace(settings, n_voxels=1000))
-    recon3d.save(recon3d.reconstruct(scene, settings), folder, pictures=False)
-    return dict(json.loads((folder / "record.json").read_text()))
+    result = recon3d.reconstruct(scene, settings)
+    return result.record(), result.mesh
+
+
+def _arrays(found: tuple[dict[str, Any], TriangleMesh]) -> Arrays:
+    """Record and mesh for a file."""
+    return {"record": np.array(json.dumps(found[0], default=np.generic.item)), **geometry_arrays(found[1])}
+
+
+def _restored(arrays: Arrays) -> tuple[dict[str, Any], TriangleMesh]:
+    """Record and mesh of arrays that were kept."""
+    record = dict(json.loads(str(arrays["record"])))
+    return record, from_arrays(TriangleMesh(), {name: array for name, array in arrays.items() if name != "record"})

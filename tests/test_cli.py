@@ -138,7 +138,7 @@ def test_tests_are_compared_swept_and_written(photographs: Path, temple: BuiltIn
     assert (len(record["views"]), len(record["held_out"])) == (4, 2)
     for name in ("comparison.md", "contact_sheet.png", "trade_off.png"):
         assert str(tmp_path / name) in text
-    assert len(list((tmp_path / "trials").glob("*.json"))) == 1
+    assert len(list((tmp_path / "trials").glob("*/*.npz"))) == 1
 
 
 @pytest.mark.parametrize(

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
-import re
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -16,17 +14,17 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from recon3d.consistency.spec import identity
-from recon3d.errors import Recon3dError
+from recon3d.io.checkpoints import Checkpoints
 from recon3d.io.files import atomic_path, write_image, write_json, write_text
 from recon3d.pipeline import Progress
 from recon3d.reporting.figures import plot_trade_off
 from recon3d.reporting.page import markdown_table
-from recon3d.scene.image_file import read_image
 from recon3d.scene.scene import Scene
 from recon3d.settings import Settings
 from recon3d.study.trials import Trial, set_up_trials
-from recon3d.study.variants import Sweep, Tests, Variant, expand_variants
+from recon3d.study.variants import Sweep, Tests, expand_variants
 from recon3d.summary import Summarised, grid_html
+from recon3d.tasks import Arrays, Kept, content_key, once
 
 _COLUMNS: dict[str, tuple[str, str]] = {
     "accepted": ("accepted", ",.0f"),
@@ -185,52 +183,27 @@ def compare(
     """
     entries = expand_variants(tests, sweep)
     setup = set_up_trials(scene, settings, hold_out, ground_truth, options)
-    kept = _Kept(Path(folder) / "trials", setup.fingerprint()) if folder is not None else None
+    conditions = setup.fingerprint()
+    # A folder for each set of conditions: who goes back to earlier ones finds their trials.
+    store = Checkpoints(Path(folder) / "trials" / conditions[:16]) if folder is not None else None
     report = progress or (lambda _stage, _done, _total: None)
     trials, rows = [], [setup.row("photographs", [view.image for view in setup.shown.views])]
     for n, entry in enumerate(entries):
         report("tests", n, len(entries))
-        found = kept.find(entry) if kept else None
-        if found is None:
-            found = setup.run(entry, report)
-            if kept:
-                kept.keep(entry, *found)
-        trials.append(found[0])
-        rows.append(found[1])
+        told = identity(entry.test)
+        kept = Kept(store if told else None, content_key(conditions, entry.label, told), _arrays, _restored)
+        trial, row = once(setup.run, entry.label, (entry, report), kept=kept)
+        trials.append(trial)
+        rows.append(row)
         report("tests", n + 1, len(entries))
     return Comparison(setup.record(), tuple(trials), np.vstack(rows))
 
 
-@dataclass(frozen=True)
-class _Kept:
-    """Finished trials in a folder: figures as JSON and the contact sheet's row as PNG, the figures last."""
+def _arrays(found: tuple[Trial, NDArray[np.uint8]]) -> Arrays:
+    """A trial and its row of the contact sheet for a file."""
+    return {"figures": np.array(json.dumps(asdict(found[0]))), "row": found[1]}
 
-    folder: Path
-    setup: str
-    """Fingerprint of all that is not the test."""
 
-    def find(self, entry: Variant) -> tuple[Trial, NDArray[np.uint8]] | None:
-        """What is kept of a test under the same conditions."""
-        file = self._file(entry)
-        if file is None or not file.is_file():
-            return None
-        try:
-            figures = Trial(**json.loads(file.read_text(encoding="utf-8")))
-            row = read_image(file.with_suffix(".png"))
-        except (ValueError, TypeError, Recon3dError):  # cut short, or of another version
-            return None
-        return figures, row
-
-    def keep(self, entry: Variant, trial: Trial, row: NDArray[np.uint8]) -> None:
-        """Write a finished trial, unless nothing tells its test from others."""
-        file = self._file(entry)
-        if file is not None:
-            write_image(file.with_suffix(".png"), row)
-            write_json(file, asdict(trial))
-
-    def _file(self, entry: Variant) -> Path | None:
-        told = identity(entry.test)
-        if told is None:
-            return None
-        key = hashlib.sha256(f"{self.setup}{entry.label}{told}".encode()).hexdigest()[:16]
-        return self.folder / f"{re.sub('[^A-Za-z0-9.=-]+', '-', entry.label)}-{key}.json"
+def _restored(arrays: Arrays) -> tuple[Trial, NDArray[np.uint8]]:
+    """The trial and row of arrays that were kept."""
+    return Trial(**json.loads(str(arrays["figures"]))), arrays["row"]
