@@ -10,6 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from scenes import rotation
 
+from recon3d.errors import ArgumentError
 from recon3d.scene.bounds import Bounds
 from recon3d.scene.camera import Camera
 from recon3d.scene.scene import Scene
@@ -135,3 +136,24 @@ def test_what_an_undistorted_photograph_does_not_show_may_be_object() -> None:
     for computed in (with_threshold_silhouettes(dark), with_segmented_silhouettes(dark)):
         np.testing.assert_array_equal(computed.views[0].silhouette, ~shown)
     assert camera().shown().all()
+
+
+@pytest.mark.parametrize("scale", [1.0, 3e-4, 250.0])
+def test_a_projection_matrix_of_any_scale_is_taken_apart(scale: float) -> None:
+    taken = camera()
+    P = scale * taken.K @ taken.cam_from_world[:3]
+    found = Camera.from_projection(P, 48, 36)
+    np.testing.assert_allclose(found.K, taken.K, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(found.cam_from_world, taken.cam_from_world, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(Camera.from_projection(-P, 48, 36, seen=np.zeros(3)).K, taken.K, rtol=0, atol=1e-9)
+    with pytest.raises(ArgumentError, match=r"Give -P, or a point .* world is left-handed: mirror one of its axes"):
+        Camera.from_projection(-P, 48, 36)
+    with pytest.raises(ArgumentError, match=r"negative\. The world is left-handed"):
+        Camera.from_projection(P @ np.diag([1, 1, -1, 1]), 48, 36, seen=np.zeros(3))
+
+
+def test_a_singular_projection_matrix_is_refused() -> None:
+    with pytest.raises(ArgumentError, match="a singular one"):
+        Camera.from_projection(np.eye(3, 4) * [1, 1, 0, 1], 48, 36)
+    with pytest.raises(ArgumentError, match="3x4 finite numbers"):
+        Camera.from_projection(np.full((3, 4), np.nan), 48, 36)

@@ -69,6 +69,50 @@ class Camera(ByContent):
         object.__setattr__(self, "distortion", coefficients if any(coefficients) else ())
 
     @classmethod
+    def from_projection(
+        cls, P: ArrayLike, width: int, height: int, distortion: ArrayLike = (), *, seen: ArrayLike | None = None
+    ) -> Camera:
+        """The camera of a 3x4 (or 4x4) matrix P = s K [R | t], whatever its scale s.
+
+        Parameters
+        ----------
+        seen : (3,) a world point in front of the camera, which settles the sign of P; without it s is taken to be
+            positive.
+
+        Raises
+        ------
+        ArgumentError : P is no projection of a right-handed world.
+
+        References
+        ----------
+        Hartley, Zisserman, "Multiple View Geometry in Computer Vision", 2004, section 6.2.4.
+        """
+        given = np.array(P, np.float64)
+        if given.shape not in ((3, 4), (4, 4)) or not np.isfinite(given[:3]).all():
+            raise ArgumentError(f"expected a projection matrix of 3x4 finite numbers, got shape {given.shape}")
+        matrix = given[:3]
+        if seen is not None and matrix[2] @ np.append(np.asarray(seen, np.float64), 1.0) < 0:
+            matrix = -matrix
+        determinant = np.linalg.det(matrix[:, :3] / max(float(np.linalg.norm(matrix[2, :3])), 1e-300))
+        if abs(determinant) < 1e-12:
+            raise ArgumentError("expected a projection matrix of a camera at a finite place, got a singular one")
+        if determinant < 0:
+            sign = (
+                "Give -P, or a point that the camera sees, where the sign is wrong; else the" if seen is None else "The"
+            )
+            raise ArgumentError(
+                f"the determinant of P's left 3x3 part is negative. {sign} world is left-handed: mirror one of its "
+                "axes, P @ numpy.diag([1, 1, -1, 1]), in all views and in the bounds"
+            )
+        # RQ decomposition by the QR decomposition of the rows and columns in reverse order.
+        Q, upper = np.linalg.qr(matrix[::-1, :3].T)
+        K, R = upper.T[::-1, ::-1], Q.T[::-1]
+        signs = np.sign(np.diag(K))
+        K, R = K * signs, signs[:, None] * R
+        t = np.linalg.solve(K, matrix[:, 3])
+        return cls(np.triu(K / K[2, 2]), np.column_stack([R, t]), width, height, distortion)
+
+    @classmethod
     def of(cls, camera: Camera | o3d.camera.PinholeCameraParameters) -> Camera:
         """The camera itself, or that of Open3D's parameters."""
         if isinstance(camera, Camera):
@@ -139,6 +183,13 @@ def scaled_size(width: int, height: int, scale: float) -> tuple[int, int]:
     if not 0 < scale <= 1:
         raise ArgumentError(f"expected a scale above 0 and at most 1, got {scale}")
     return max(1, round(scale * width)), max(1, round(scale * height))
+
+
+def same_shape(size: tuple[int, int], other: tuple[int, int]) -> bool:
+    """Whether one width and height is the other one scaled and rounded to whole pixels."""
+    (small_width, small_height), (width, height) = sorted((size, other))
+    off = abs(small_width - small_height * width / height)
+    return (small_width == width) == (small_height == height) and off <= (1 + width / height) / 2
 
 
 def _wrong_intrinsics(K: NDArray[np.float64]) -> str | None:

@@ -15,6 +15,7 @@ from PIL import Image, UnidentifiedImageError
 
 from recon3d.errors import DataError
 
+_WITH_ALPHA = ("RGBA", "LA", "PA", "RGBa", "La")  # Pillow's modes
 _ORIENTATION = 0x0112  # EXIF tag
 _TURNS = {2: (0, True), 3: (2, False), 4: (2, True), 5: (3, True), 6: (3, False), 7: (1, True), 8: (1, False)}
 """EXIF orientation to the quarter turns to the left, and then the mirroring left to right, that set it upright."""
@@ -43,12 +44,17 @@ class ImageFile:
     @property
     def size(self) -> tuple[int, int]:
         """Width and height of the upright picture; only the header is read."""
-        width, height, orientation = self._header
+        width, height, orientation, _ = self._header
         return (height, width) if orientation >= 5 else (width, height)
 
+    @property
+    def has_alpha(self) -> bool:
+        """Whether pixels have an opacity; only the header is read."""
+        return self._header[3]
+
     @cached_property
-    def _header(self) -> tuple[int, int, int]:
-        """Width and height as stored, and the EXIF orientation to be undone."""
+    def _header(self) -> tuple[int, int, int, bool]:
+        """Width and height as stored, the EXIF orientation to be undone, and whether there is an opacity."""
         if not self.path.is_file():
             raise DataError(f"{self.path}: no such image")
         try:
@@ -59,14 +65,16 @@ class ImageFile:
                     known = image.format != "PNG" or "exif" in image.info
                     orientation = image.getexif().get(_ORIENTATION, 1) if known else 1
                     (width, height), kind = image.size, image.format
+                    alpha = image.mode in _WITH_ALPHA or "transparency" in image.info
         except Image.DecompressionBombError:
             height, width = self._stored(cv2.IMREAD_GRAYSCALE).shape
-            orientation, kind = 1, None
+            orientation, kind, alpha = 1, None, False
         except (UnidentifiedImageError, OSError, ValueError, SyntaxError):
             raise DataError(f"{self.path}: not a readable image") from None
         if kind == "TIFF" and orientation in _TURNS:  # OpenCV 5.0 fails on those
             raise DataError(f"{self.path}: a TIFF that is stored turned is not supported; save it upright")
-        return width, height, orientation if orientation in _TURNS and not self.stored_orientation else 1
+        turned = orientation in _TURNS and not self.stored_orientation
+        return width, height, orientation if turned else 1, alpha
 
     def version(self) -> tuple[str, bool, int, int]:
         """Key that changes when the file is written again."""
@@ -82,14 +90,27 @@ class ImageFile:
 
     def decode(self, *, grey: bool = False) -> NDArray[np.uint8]:
         """Upright picture: (height, width, 3) RGB, or (height, width) grey."""
-        width, height, orientation = self._header
-        image = self._stored(cv2.IMREAD_GRAYSCALE if grey else cv2.IMREAD_COLOR_RGB)
+        width, height, _, _ = self._header
+        image = self._stored(cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH if grey else cv2.IMREAD_COLOR_RGB)
         if image.shape[:2] != (height, width):
             raise DataError(
                 f"{self.path}: the header says {width}x{height} pixels, {image.shape[1]}x{image.shape[0]} were read"
             )
-        turns, mirrored = _TURNS.get(orientation, (0, False))
-        image = np.rot90(image, turns)
+        return self._upright(image)
+
+    def decode_alpha(self) -> NDArray[np.uint8]:
+        """Upright opacity (height, width), 0 to 255; 255 everywhere in a file without one."""
+        try:
+            with warnings.catch_warnings(), Image.open(self.path) as image:
+                warnings.simplefilter("ignore")
+                return self._upright(np.asarray(image.convert("RGBA").getchannel("A"), np.uint8))
+        except (UnidentifiedImageError, OSError, ValueError, SyntaxError, Image.DecompressionBombError):
+            raise DataError(f"{self.path}: not a readable image") from None
+
+    def _upright(self, stored: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """A picture turned as the EXIF orientation says."""
+        turns, mirrored = _TURNS.get(self._header[2], (0, False))
+        image = np.rot90(stored, turns)
         return np.ascontiguousarray(image[:, ::-1] if mirrored else image)
 
     def _stored(self, flags: int) -> NDArray[np.uint8]:
@@ -97,6 +118,8 @@ class ImageFile:
         image = cv2.imread(str(self.path), flags | cv2.IMREAD_IGNORE_ORIENTATION) if self.path.is_file() else None
         if image is None:
             raise DataError(f"{self.path}: not a readable image")
+        if image.dtype != np.uint8:  # a grey picture of more than 8 bits; masks hold 255, 65535 or 1 for white
+            image = image.astype(np.float64) * (255 / max(float(image.max()), 1.0))
         return np.asarray(image, np.uint8)
 
 

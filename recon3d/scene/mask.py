@@ -6,6 +6,7 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,6 +16,8 @@ from recon3d.scene.image_file import ImageFile
 from recon3d.scene.photograph import array_fingerprint
 from recon3d.scene.pixel_cache import PIXELS
 from recon3d.values import ByContent, Once
+
+_MIDDLE = 127  # grey level
 
 
 class Mask(ABC):
@@ -80,23 +83,44 @@ class ArrayMask(ByContent, Mask):
 
 @dataclass(frozen=True)
 class FileMask(Mask):
-    """A mask in an image file, read upright like photographs: white for object."""
+    """A mask in an image file, read upright like photographs: bright for object, or opaque.
+
+    A pixel is object above half of the file's largest value where that is no brighter than a middle grey, as of masks
+    that hold 0 and 1, and else above the middle grey.
+    """
 
     file: ImageFile
+    """Of the mask."""
+    alpha: bool = False
+    """Read the file's opacity, not its brightness."""
+    of_size: tuple[int, int] | None = None
+    """Width and height that it is scaled to, each pixel being the mean of what it covers; its own when None."""
 
     @property
     def size(self) -> tuple[int, int]:
-        """Width and height, from the header."""
-        return self.file.size
+        """Width and height."""
+        return self.of_size or self.file.size
 
     def read(self, camera: Camera) -> NDArray[np.bool_]:
-        """(height, width) the pixels brighter than the middle grey, undistorted."""
-        key = ("mask", self.file.version(), camera if camera.distortion else None)
-        return PIXELS.get(key, lambda: camera.undistorted(self.file.decode(grey=True), beyond=255) > 127)
+        """(height, width) the pixels brighter than half, undistorted."""
+        key = ("mask", self.file.version(), self.alpha, self.size, camera if camera.distortion else None)
+
+        def mask() -> NDArray[np.bool_]:
+            values = self.file.decode_alpha() if self.alpha else self.file.decode(grey=True)
+            if not self.alpha and 0 < (largest := int(values.max())) <= _MIDDLE:
+                values = np.asarray(values > largest / 2, np.uint8) * np.uint8(255)
+            if self.size != self.file.size:
+                larger = self.size[0] > self.file.size[0]
+                way = cv2.INTER_LINEAR if larger else cv2.INTER_AREA
+                values = np.asarray(cv2.resize(values, self.size, interpolation=way), np.uint8)
+            return camera.undistorted(values, beyond=255) > _MIDDLE
+
+        return PIXELS.get(key, mask)
 
     def fingerprint(self) -> str:
-        """Digest of the file or array."""
-        return self.file.fingerprint()
+        """Digest of the file, and how it is read."""
+        told = self.file.fingerprint()
+        return f"{told}{' alpha' if self.alpha else ''}{f' {self.size}' if self.size != self.file.size else ''}"
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import fnmatch
 import hashlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+import open3d as o3d
+from numpy.typing import ArrayLike, NDArray
 
 from recon3d.errors import ArgumentError, SceneError
 from recon3d.scene.bounds import Bounds
+from recon3d.scene.enclosing import enclosing_box
 from recon3d.scene.packed import PackedViews
+from recon3d.scene.photograph import Photograph
 from recon3d.scene.view import View
 from recon3d.summary import Summarised, thumbnails
 from recon3d.values import ByContent, Once
@@ -52,10 +56,65 @@ class Scene(ByContent, Summarised):
             raise SceneError(f"scene {self.name}: expected bounds with three positive sides, got {self.bounds.extent}")
         probes = np.vstack([self.bounds.corners, self.bounds.center])
         if not any(view.sees(probes).any() for view in self.views):
+            scales = [f for f in (0.001, 1000, 0.01, 100) if any(view.sees(f * probes).all() for view in self.views)]
+            unit = f" Multiplied by {scales[0]:g} they are seen: are they in another unit?" if scales else ""
             raise SceneError(
-                f"scene {self.name}: no camera sees the bounds {self.bounds.low} to {self.bounds.high}. "
+                f"scene {self.name}: no camera sees the bounds {self.bounds.low} to {self.bounds.high}.{unit} "
                 "Is this another data set's box, or are the matrices camera-to-world?"
             )
+
+    @classmethod
+    def from_arrays(
+        cls,
+        images: Sequence[Photograph | Path | str | NDArray[np.uint8]],
+        K: ArrayLike,
+        cam_from_world: ArrayLike,
+        *,
+        bounds: Bounds | o3d.geometry.AxisAlignedBoundingBox | tuple[ArrayLike, ArrayLike] | None = None,
+        silhouettes: Sequence[Path | str | NDArray[np.bool_] | None] | None = None,
+        distortion: ArrayLike = (),
+        names: Sequence[str] | None = None,
+        name: str = "scene",
+        mm_per_unit: float = 1000.0,
+    ) -> Scene:
+        """Scene of n photographs and the matrices of their cameras.
+
+        Parameters
+        ----------
+        images : files, or (height, width, 3) RGB arrays.
+        K : (3, 3), or (n, 3, 3) where the cameras differ; pixels, pixel centres at integers.
+        cam_from_world : (n, 3, 4) or (n, 4, 4); world to camera, OpenCV's axes (x right, y down, z forward).
+        bounds : of the object, or two corners of them; found from the silhouettes, or from what most cameras see, when
+            None.
+        silhouettes : of each view, files or bool arrays, or None for a view without one.
+        distortion : (k,) OpenCV's coefficients, or (n, k).
+        names : of the views; those of the files, or numbers, when None.
+
+        Raises
+        ------
+        ArgumentError : the lengths or shapes do not go together.
+        SceneError : the cameras do not look at the bounds, or at one place where none are given.
+        """
+        n = len(images)
+        poses = np.asarray(cam_from_world, np.float64)
+        if not n or poses.ndim != 3 or len(poses) != n:
+            raise ArgumentError(f"expected a pose for each of {n} images, got cam_from_world of shape {poses.shape}")
+        intrinsics, lenses = np.asarray(K, np.float64), np.asarray(distortion, np.float64)
+        intrinsics = np.broadcast_to(intrinsics, (n, 3, 3)) if intrinsics.ndim == 2 else intrinsics
+        lenses = np.broadcast_to(lenses, (n, len(lenses))) if lenses.ndim == 1 else lenses
+        masks = [None] * n if silhouettes is None else silhouettes
+        called = _called(images) if names is None else names
+        for what, given in (("K", intrinsics), ("distortion", lenses), ("silhouettes", masks), ("names", called)):
+            if len(given) != n:
+                raise ArgumentError(f"expected {what} for each of {n} images, got {len(given)}")
+        views = tuple(
+            View.from_matrices(own_K, pose, image, silhouette=mask, distortion=lens, name=own_name)
+            for own_K, pose, image, mask, lens, own_name in zip(
+                intrinsics, poses, images, masks, lenses, called, strict=True
+            )
+        )
+        box, how = (bounds, None) if bounds is not None else enclosing_box(views)
+        return cls(views, Bounds.of(box), name, mm_per_unit, {} if how is None else {"bounds": how})
 
     def corners_in_views(self) -> NDArray[np.int64]:
         """(n_views,) how many corners of the bounds each image holds."""
@@ -125,3 +184,11 @@ class Scene(ByContent, Summarised):
         """(height, width, 3) RGB photographs, small; some evenly chosen ones of many views."""
         chosen = np.unique(np.linspace(0, len(self.views) - 1, min(_PICTURED, len(self.views))).round().astype(int))
         return thumbnails((self.views[n].image for n in chosen), width=120, columns=4)
+
+
+def _called(images: Sequence[Photograph | Path | str | NDArray[np.uint8]]) -> list[str]:
+    """Names of views: those of the files, or numbers where there are none or where they are the same."""
+    files = [Path(image).name for image in images if isinstance(image, (str, Path))]
+    if len(set(files)) == len(images):
+        return files
+    return [f"view{n + 1:0{len(str(len(images)))}d}" for n in range(len(images))]

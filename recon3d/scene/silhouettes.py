@@ -6,7 +6,6 @@ import hashlib
 from collections.abc import Callable, Collection
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from functools import cache
 from os import cpu_count
 from pathlib import Path
 
@@ -16,8 +15,8 @@ from numpy.typing import NDArray
 
 from recon3d.errors import ArgumentError, DataError
 from recon3d.scene.bounds import Bounds
-from recon3d.scene.image_file import ImageFile
-from recon3d.scene.mask import ComputedMask, FileMask, Mask
+from recon3d.scene.mask import ComputedMask, Mask
+from recon3d.scene.mask_files import fitting_mask, masks_of_views
 from recon3d.scene.names import file_stems
 from recon3d.scene.scene import Scene
 from recon3d.scene.view import View
@@ -223,8 +222,9 @@ def _grab_cut(view: View, level: float, within: NDArray[np.bool_]) -> NDArray[np
 def with_mask_files(scene: Scene, folder: Path | str, *, only: Collection[str] | None = None) -> Scene:
     """Scene with silhouettes read from image files named like the views, white for object, one for each view.
 
-    For a view ``a/001.png`` that is ``a/001.*`` or ``a/001.png.*`` in the folder, or else ``a_001.*``: the name that
-    the view's own files are written under.
+    For a view ``a/001.png`` that is ``a/001.*`` or ``a/001.png.*`` in the folder, the same with "mask" in it
+    (``a/001.mask.*``), ``a_001.*``, the name that the view's own files are written under, or one of the same number.
+    Masks of another size than the photograph are scaled.
 
     Parameters
     ----------
@@ -232,30 +232,21 @@ def with_mask_files(scene: Scene, folder: Path | str, *, only: Collection[str] |
 
     Raises
     ------
-    DataError : a mask is missing, unreadable or of another size than its view's image.
+    DataError : a mask is missing, unreadable or of another shape than its view's image.
     """
     folder = Path(folder)
     if not folder.is_dir():
         raise DataError(f"{folder}: expected a folder of mask images")
-    stems = file_stems(scene)
-    listed = cache(lambda place: sorted(place.iterdir()) if place.is_dir() else [])
+    files = masks_of_views(scene.views, file_stems(scene).values(), folder)
 
     def mask(view: View) -> Mask:
-        own = Path(view.name)
-        within = not own.is_absolute() and ".." not in own.parts
-        found = [path for path in listed((folder / own).parent) if within and path.stem in (own.stem, own.name)]
-        found = found or [path for path in listed(folder) if path.stem == stems[view.name]]
-        if len(found) != 1:
-            expected = f"{own.with_suffix('')}.*"
-            raise DataError(f"{folder}: expected one mask named {expected} for view {view.name}, found {len(found)}")
-        size = (file := ImageFile(found[0])).size
-        if size != (view.width, view.height):
-            turned = size == (view.height, view.width)
+        if view.name not in files:
+            expected, held = Path(view.name).with_suffix(""), sorted(path.name for path in folder.iterdir())
             raise DataError(
-                f"{file.path}: expected {view.width}x{view.height} pixels like view {view.name}, "
-                f"got {size[0]}x{size[1]}{'; photographs are set upright as their EXIF says' if turned else ''}"
+                f"{folder}: expected one mask named {expected}.* for view {view.name}, found 0; "
+                f"the folder holds {', '.join(held[:3]) + ' ...' * (len(held) > 3) or 'nothing'}"
             )
-        return FileMask(file)
+        return fitting_mask(view, files[view.name])
 
     return _with_masks(scene, mask, only)
 

@@ -83,6 +83,34 @@ class View(ByContent, Summarised):
             raise ArgumentError(f"view {name}: {error}") from None
         return cls(camera, photograph, silhouette, name)
 
+    @classmethod
+    def from_projection(
+        cls,
+        P: ArrayLike,
+        image: Photograph | Path | str | NDArray[np.uint8],
+        *,
+        seen: ArrayLike | None = None,
+        silhouette: Mask | Path | str | NDArray[np.bool_] | None = None,
+        name: str = "view",
+    ) -> View:
+        """View from a 3x4 projection matrix P = s K [R | t], world to homogeneous pixels, of any scale s.
+
+        Parameters
+        ----------
+        seen : (3,) a world point in front of the camera, such as the middle of the bounds, which settles the sign of
+            P; without it s is taken to be positive.
+
+        Raises
+        ------
+        ArgumentError : P is no projection of a right-handed world; says how to mirror a left-handed one.
+        """
+        try:
+            photograph = Photograph.of(image)
+            camera = Camera.from_projection(P, *photograph.size, seen=seen)
+        except ValueError as error:
+            raise ArgumentError(f"view {name}: {error}") from None
+        return cls(camera, photograph, silhouette, name)
+
     @property
     def camera(self) -> o3d.camera.PinholeCameraParameters:
         """Open3D's camera: the full K (skew, fx != fy) and the extrinsic ``cam_from_world``."""

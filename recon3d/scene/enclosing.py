@@ -1,0 +1,146 @@
+"""A box around what cameras look at, where none is given."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recon3d.errors import SceneError
+from recon3d.scene.bounds import Bounds
+from recon3d.scene.view import View
+
+PADDING = 0.03
+"""Fraction of the longest side added around a box that was found."""
+
+_N = 48  # cells along a side of the cube that is searched
+_VIEWS = 60  # that are looked at, of many
+_WHOLE = 0.5  # scale of a silhouette from which on cells are so small that their middles are looked at alone
+_PARALLEL = 1e-3  # squared sine of the angle between axes below which they do not tell a distance
+_FEWEST_POINTS = 30
+_OUTLIERS = 2  # percent of the points at each end of an axis
+
+
+def enclosing_box(views: Sequence[View], points: NDArray[np.float64] | None = None) -> tuple[Bounds, str]:
+    """Box around the object and what it was found from: silhouettes, else points, else what most cameras see.
+
+    Parameters
+    ----------
+    points : (n, 3) points of what the photographs show, world.
+
+    Raises
+    ------
+    SceneError : the cameras look at no common place.
+    """
+    chosen = [views[n] for n in np.unique(np.linspace(0, len(views) - 1, min(_VIEWS, len(views))).round().astype(int))]
+    middle = looked_at(chosen)
+    # No camera is inside the cube.
+    reach = 0.9 * min(float(np.abs(view.center - middle).max()) for view in chosen)
+    cube = Bounds(middle - reach, middle + reach)
+    masked = [view for view in chosen if view.has_silhouette]
+    if len(masked) >= min(2, len(chosen)):
+        hull = _extent(cube, lambda box: _in_silhouettes(masked, box), rounds=3)
+        if hull:
+            return hull, f"found from the silhouettes of {len(masked)} views"
+    if points is not None:
+        counts = np.sum([view.sees(points) for view in chosen], axis=0)
+        near = np.abs(points - middle).max(axis=1) < reach
+        kept = points[near & (counts >= max(2, np.median(counts[near]) if near.any() else 0))]
+        if len(kept) >= _FEWEST_POINTS:
+            low, high = np.percentile(kept, [_OUTLIERS, 100 - _OUTLIERS], axis=0)
+            box = Bounds(low, high)
+            return box.padded(2 * PADDING * box.longest), f"found from {len(kept)} of {len(points)} points"
+    seen = _extent(cube, lambda box: _seen_by_most(chosen, box), rounds=2)
+    if seen is None:
+        raise SceneError("no place is in most of the photographs; give bounds")
+    return seen, "found from what most cameras see"
+
+
+def looked_at(views: Sequence[View]) -> NDArray[np.float64]:
+    """(3,) point nearest to the optical axes of all views, by least squares, world.
+
+    Raises
+    ------
+    SceneError : the axes are parallel, or the point lies behind most cameras.
+    """
+    axes = np.array([view.cam_from_world[2, :3] for view in views])
+    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
+    total = across.sum(axis=0)
+    if np.linalg.eigvalsh(total)[0] < _PARALLEL * len(views):
+        raise SceneError("the cameras look in one direction, which does not tell how far the object is; give bounds")
+    centers = np.array([view.center for view in views])
+    middle = np.linalg.solve(total, np.einsum("nij,nj->i", across, centers))
+    if np.median(np.einsum("ni,ni->n", middle - centers, axes)) <= 0:
+        raise SceneError(
+            "the point nearest to the cameras' optical axes lies behind most of them: are the matrices "
+            "camera-to-world, or the axes not OpenCV's (x right, y down, z forward)?"
+        )
+    return np.asarray(middle)
+
+
+def _extent(cube: Bounds, holds: Callable[[Bounds], NDArray[np.bool_]], *, rounds: int) -> Bounds | None:
+    """Padded box of the cells that hold the object, finer with every round; None where there are none.
+
+    Parameters
+    ----------
+    holds : (n, n, n) which cells of a box do.
+    """
+    box = cube
+    for _ in range(rounds):
+        cells = np.argwhere(holds(box))
+        if not len(cells):
+            return None
+        size = box.extent / _N
+        low = np.maximum(box.low + (cells.min(axis=0) - 1) * size, cube.low)
+        high = np.minimum(box.low + (cells.max(axis=0) + 2) * size, cube.high)
+        box = Bounds(low, high)
+    return box.padded(PADDING * box.longest)
+
+
+def _cells(box: Bounds) -> NDArray[np.float64]:
+    """(n ** 3, 3) middles of the cells of a box."""
+    steps = (np.arange(_N) + 0.5) / _N
+    grid = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
+    return np.asarray(box.low + grid * box.extent)
+
+
+def _in_silhouettes(views: Sequence[View], box: Bounds) -> NDArray[np.bool_]:
+    """Which cells may be in all silhouettes; what fewer than half of the views show is not."""
+    cells, left = _cells(box), np.arange(_N**3)
+    seen = np.zeros(len(left), np.int64)
+    radius = 0.5 * float(np.linalg.norm(box.extent)) / _N
+    for view in views:
+        depth = view.project(box.center[None])[1][0]
+        # A pixel of the small silhouette is as large as a cell, and may be object where anything that it covers may.
+        scale = max(max(depth, 1e-12) / view.K[0, 0] / radius, 8 / min(view.width, view.height))
+        scale = scale if scale < _WHOLE else 1.0
+        mask = view.silhouette_at(scale)
+        if mask is None:
+            continue
+        camera = view.calibration.at(scale)
+        P = camera.K @ camera.cam_from_world[:3]
+        homogeneous = cells[left] @ P[:, :3].T + P[:, 3]
+        front = homogeneous[:, 2] > 0
+        u, v = (homogeneous[:, :2] / np.where(front, homogeneous[:, 2], 1)[:, None]).round().astype(np.int64).T
+        within = front & (u >= 0) & (v >= 0) & (u < camera.width) & (v < camera.height)
+        allowed = np.ones(len(left), np.bool_)
+        allowed[within] = (_grown(mask) if scale < 1 else mask)[v[within], u[within]]
+        left, seen = left[allowed], (seen + within)[allowed]
+    held = np.zeros(_N**3, np.bool_)
+    held[left[seen >= len(views) / 2]] = True
+    return held.reshape(_N, _N, _N)
+
+
+def _grown(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """A mask and the pixels next to it."""
+    padded = np.pad(mask, 1)
+    rows = padded[:-2] | padded[1:-1] | padded[2:]
+    return np.asarray(rows[:, :-2] | rows[:, 1:-1] | rows[:, 2:])
+
+
+def _seen_by_most(views: Sequence[View], box: Bounds) -> NDArray[np.bool_]:
+    """Which cells as many views see as any, but for a tenth."""
+    counts = np.sum([view.sees(_cells(box)) for view in views], axis=0)
+    return np.asarray((counts >= max(0.9 * counts.max(), 1)).reshape(_N, _N, _N))
