@@ -30,7 +30,7 @@ if TYPE_CHECKING:  # Open3D takes seconds to import, --help should not
     from recon3d.settings import Settings
 
 
-def load(scene: str, bounds: str | None, silhouettes: str, mm_per_unit: float = 1000.0) -> Scene:
+def load(scene: str, bounds: str | None, silhouettes: str, mm_per_unit: float | None = None) -> Scene:
     """Scene of a folder or of a built-in name."""
     from recon3d.datasets.synthetic import SCENES
     from recon3d.io import open_scene
@@ -38,7 +38,7 @@ def load(scene: str, bounds: str | None, silhouettes: str, mm_per_unit: float = 
     from recon3d.scene.silhouettes import without_silhouettes
 
     if scene in SCENES and not Path(scene).exists():
-        if bounds is not None or silhouettes not in ("auto", "none") or mm_per_unit != 1000.0:
+        if bounds is not None or silhouettes not in ("auto", "none") or mm_per_unit not in (None, 1000.0):
             raise ArgumentError(f"{scene} is built in: it has its own bounds, silhouettes and unit")
         built_in = photograph(scene).scene
         if silhouettes == "none":

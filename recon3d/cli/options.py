@@ -63,7 +63,13 @@ Views = Annotated[
 
 
 MmPerUnit = Annotated[
-    float, typer.Option(metavar="MM", help="Millimetres in one world unit (1000: metres).", rich_help_panel=INPUT)
+    float | None,
+    typer.Option(
+        metavar="MM",
+        help="Millimetres in one world unit.",
+        show_default="the format's, or 1000 (metres)",
+        rich_help_panel=INPUT,
+    ),
 ]
 
 

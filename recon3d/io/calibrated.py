@@ -7,6 +7,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from recon3d.scene.bounds import Bounds
 from recon3d.scene.camera import Camera
 from recon3d.scene.photograph import Photograph
@@ -20,6 +23,8 @@ class CalibratedImage(NamedTuple):
     photograph: Photograph
     """Names the file, and whether it is to be read as it is stored; no pixels."""
     camera: Camera
+    mask: Path | None = None
+    """File of the object's mask, where the format names one."""
 
 
 @dataclass(frozen=True)
@@ -30,13 +35,13 @@ class Calibrated:
     images: tuple[CalibratedImage, ...]
     bounds: Bounds | None = None
     """Box around the object, as it is used where the user gives none."""
-    no_bounds: str = "expected bounds, which the format does not hold"
-    """Why there are no bounds: the error where the user gives none either."""
+    no_bounds: str = ""
+    """Why there are none, where the format has a place for them."""
+    points: NDArray[np.float64] | None = field(default=None, repr=False, compare=False)
+    """(n, 3) points of what the photographs show, world; a box is found from them where there are no bounds."""
     mm_per_unit: float = 1000.0
     """Millimetres in a world unit, where the user does not say."""
-    masks: Path | None = None
-    """Folder of the scene's own masks."""
     masked: frozenset[str] | None = None
-    """Names of the views whose silhouettes are good; None: all."""
+    """Names of the views whose silhouettes are good; None: all that have a mask."""
     notes: Mapping[str, str] = field(default_factory=dict)
     """For tables and the run's record."""

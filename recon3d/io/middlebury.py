@@ -44,17 +44,14 @@ def read_middlebury(folder: Path) -> Calibrated:
     images = _read_images(_only_file(folder, "*_par.txt"))
     box, no_box = None, ""
     try:
-        tight = read_bounds(folder)
-        box = tight.padded(PADDING * tight.longest)
+        box = read_padded_bounds(folder)
     except DataError as error:
         no_box = str(error)
-    masks = folder / SILHOUETTE_FOLDER
     return Calibrated(
         folder.resolve().name,
         images,
         bounds=box,
         no_bounds=no_box,
-        masks=masks if masks.is_dir() else None,
         masked=_good_silhouettes(folder, {image.name for image in images}),
         notes={"format": "Middlebury"},
     )
@@ -101,6 +98,12 @@ def read_bounds(folder: Path | str) -> Bounds:
         raise DataError(f"{readmes[0]}: expected a bounding box '(x y z) (x y z)'; give bounds instead")
     numbers = [float(number) for number in found.groups()]
     return Bounds(numbers[:3], numbers[3:])
+
+
+def read_padded_bounds(folder: Path | str) -> Bounds:
+    """The same with a margin."""
+    tight = read_bounds(folder)
+    return tight.padded(PADDING * tight.longest)
 
 
 def read_angles(folder: Path | str) -> dict[str, tuple[float, float]]:

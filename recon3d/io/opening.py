@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -12,8 +13,22 @@ import open3d as o3d
 
 from recon3d.errors import DataError, SceneError
 from recon3d.io.calibrated import Calibrated
-from recon3d.io.middlebury import is_middlebury, read_middlebury
+from recon3d.io.colmap import is_colmap, read_colmap
+from recon3d.io.metashape import is_metashape, read_metashape
+from recon3d.io.middlebury import is_middlebury, read_middlebury, read_padded_bounds
+from recon3d.io.mvsnet import is_mvsnet, read_mvsnet
+from recon3d.io.neus import is_neus, read_neus
+from recon3d.io.open3d_cameras import is_open3d, read_open3d
+from recon3d.io.opencv_storage import is_opencv_storage, read_opencv_storage
+from recon3d.io.reading import image_files
+from recon3d.io.transforms import is_transforms, read_transforms
+from recon3d.io.unknown import told_unknown
 from recon3d.scene.bounds import Bounds
+from recon3d.scene.enclosing import enclosing_box
+from recon3d.scene.image_file import ImageFile
+from recon3d.scene.mask import FileMask, Mask
+from recon3d.scene.mask_files import fitting_mask, mask_folders, masks_of_views
+from recon3d.scene.names import stems_of
 from recon3d.scene.scene import Scene
 from recon3d.scene.silhouettes import (
     bounds_mask,
@@ -35,6 +50,13 @@ class Format(NamedTuple):
 
 FORMATS: dict[str, Format] = {
     "middlebury": Format(is_middlebury, read_middlebury, "a folder with a *_par.txt (Middlebury)"),
+    "colmap": Format(is_colmap, read_colmap, "cameras and images, .bin or .txt (COLMAP)"),
+    "transforms": Format(is_transforms, read_transforms, "transforms.json (nerfstudio, instant-ngp, Blender)"),
+    "neus": Format(is_neus, read_neus, "cameras_sphere.npz (IDR, NeuS)"),
+    "mvsnet": Format(is_mvsnet, read_mvsnet, "cams/*_cam.txt (MVSNet)"),
+    "metashape": Format(is_metashape, read_metashape, "cameras.xml (Metashape)"),
+    "open3d": Format(is_open3d, read_open3d, "a PinholeCameraTrajectory (Open3D)"),
+    "opencv": Format(is_opencv_storage, read_opencv_storage, "K, rvec and tvec as YAML or XML (OpenCV)"),
 }
 
 _MADE = {
@@ -45,6 +67,9 @@ _MADE = {
 
 _CHECKED = 8e6  # pixels that are looked at to check a box
 _FEWEST = 3  # views that are looked at, however large
+_LEAST_SEEN, _NEARLY_ALL = 0.25, 0.9  # of a box's volume, in the median view
+_OFF_CENTER = 0.5  # of the way from the image's middle to its border
+_PROBES = 6  # along each side of a box
 
 
 def open_scene(
@@ -58,8 +83,10 @@ def open_scene(
 
     Parameters
     ----------
-    bounds : the object's box in the scene's own world frame; the scene's own when None.
-    silhouettes : "auto": the scene's own masks where it has some, else "segmented"; "segmented" or "threshold": made
+    bounds : the object's box in the scene's own world frame. When None: the format's own, or that of a README beside,
+        or one that is found from the silhouettes, from the format's points, or from what most cameras see.
+    silhouettes : "auto": the scene's own masks where it has some (of the format, in a folder ``masks`` or
+        ``silhouettes``, or the photographs' own opacity), else "segmented"; "segmented" or "threshold": made
         from a dark background, by GrabCut or by the recipe of dinoSparseRing's README, of all views or of those that
         the scene says have good ones; "none"; or a folder of masks.
     mm_per_unit : millimetres in one world unit; what the format says, or 1000 (metres), when None.
@@ -74,48 +101,144 @@ def open_scene(
         raise DataError(f"{path}: no such file or folder")
     known = next((known for known in FORMATS.values() if known.recognises(path)), None)
     if known is None:
-        raise DataError(f"{path}: not a known scene; expected {' or '.join(known.sign for known in FORMATS.values())}")
+        raise DataError(told_unknown(path, [known.sign for known in FORMATS.values()]))
     found = known.read(path)
-    box = found.bounds if bounds is None else Bounds.of(bounds)
-    if box is None:
-        raise DataError(found.no_bounds)
     named = str(silhouettes) not in (*_MADE, "none")
+    views = tuple(View(image.camera, image.photograph, None, image.name) for image in found.images)
+    masks, told_masks = _own_masks(found, views, path) if silhouettes == "auto" else ({}, {})
+    views = tuple(replace(view, mask=masks.get(view.name)) for view in views)
+    box, told_box = (Bounds.of(bounds), {}) if bounds is not None else _own_bounds(found, views, path)
     scene = Scene(
-        tuple(View(image.camera, image.photograph, None, image.name) for image in found.images),
+        views,
         box,
         found.name,
         found.mm_per_unit if mm_per_unit is None else mm_per_unit,
         {
             **found.notes,
+            **told_masks,
+            **told_box,
             "source": str(path.resolve()),
             "silhouettes from": str(Path(silhouettes).resolve() if named else silhouettes),
         },
     )
     _check_box(scene)
-    if silhouettes == "none":
+    if masks or silhouettes == "none":
         return scene
     if named:
         return with_mask_files(scene, silhouettes)
-    if silhouettes == "auto" and found.masks is not None:
-        return with_mask_files(scene, found.masks, only=found.masked)
-    _check_foreground(scene, must_fit=bounds is None)
+    if silhouettes == "auto" and told_box:  # neither the box nor the background is sure
+        dark = _check_foreground(scene, must_fit=False, otherwise="; no silhouettes are made")
+        return with_segmented_silhouettes(scene, only=found.masked) if dark else scene
+    _check_foreground(scene, must_fit=bounds is None and not told_box)
     return _MADE[str(silhouettes)](scene, only=found.masked)
 
 
+def _own_masks(found: Calibrated, views: tuple[View, ...], path: Path) -> tuple[Mapping[str, Mask], dict[str, str]]:
+    """The scene's own masks by the views' names, and a note of where they are; empty where there are none."""
+    good = [view for view in views if found.masked is None or view.name in found.masked]
+    own = {image.name: image.mask for image in found.images if image.mask is not None}
+    if own:
+        return _fitting(good, own), {"masks": f"{len(own)} of {len(views)} views, named by the format"}
+    stems_by_name = stems_of(view.name for view in good)
+    stems = [stems_by_name[view.name] for view in good]
+    beside = _places(found, path)
+    folders = [(folder, False) for folder in mask_folders(beside)] + [(folder, True) for folder in beside[:1]]
+    for folder, marked in folders:
+        files = masks_of_views(good, stems, folder, marked=marked)
+        if files:
+            return _fitting(good, files), {"masks": f"{len(files)} of {len(views)} views, {folder.name}"}
+        if not marked and (others := image_files(folder)):
+            warnings.warn(
+                f"{folder}: none of its {len(others)} images ({others[0].name}) is named like a view "
+                f"({', '.join(view.name for view in good[:1])}): no masks are taken from it",
+                stacklevel=3,
+            )
+    opaque = {view.name: view.photograph.source for view in good if isinstance(view.photograph.source, ImageFile)}
+    if opaque and all(file.has_alpha for file in opaque.values()):
+        looked_at = np.linspace(0, len(opaque) - 1, min(_FEWEST, len(opaque))).round().astype(int)
+        if any(list(opaque.values())[n].decode_alpha().min() < 128 for n in looked_at):
+            alpha = {name: FileMask(file, alpha=True) for name, file in opaque.items()}
+            return alpha, {"masks": f"{len(alpha)} of {len(views)} views, the photographs' opacity"}
+    return {}, {}
+
+
+def _fitting(views: Collection[View], files: Mapping[str, Path]) -> dict[str, Mask]:
+    return {view.name: fitting_mask(view, files[view.name]) for view in views if view.name in files}
+
+
+def _places(found: Calibrated, path: Path) -> list[Path]:
+    """Folders in which a scene's masks or its README may lie: of its photographs, the one above, and its own."""
+    sources = [image.photograph.source for image in found.images]
+    folders = [source.path.parent for source in sources if isinstance(source, ImageFile)]
+    own = path if path.is_dir() else path.parent
+    return list(dict.fromkeys([*folders[:1], *(folder.parent for folder in folders[:1]), own.absolute()]))
+
+
+def _own_bounds(found: Calibrated, views: tuple[View, ...], path: Path) -> tuple[Bounds, dict[str, str]]:
+    """The box of the format, or one of a README or that is found, and then a note of which."""
+    if found.bounds is not None:
+        return found.bounds, {}
+    for folder in _places(found, path)[::-1]:
+        try:
+            box = read_padded_bounds(folder)
+        except DataError:
+            continue
+        if _not_in_images(views, box) is None:  # else it is of another frame, as of a set that was calibrated anew
+            return box, {"bounds": "those of the README"}
+    box, how = enclosing_box(views, found.points)
+    corners = ",".join(f"{x:.6g}" for x in (*box.low, *box.high))
+    return box, {"bounds": f"{corners}, {how}{f' ({found.no_bounds})' if found.no_bounds else ''}"}
+
+
 def _check_box(scene: Scene) -> None:
-    """Refuse a box that leaves the images, as another set's frame would have it."""
-    seen = scene.corners_in_views()
-    if np.median(seen) < 4:
-        worst = int(np.argmin(seen))
-        raise SceneError(
-            f"{scene.name}: expected at least 4 of the bounding box's 8 corners inside most images, got a median of "
-            f"{np.median(seen):g} ({scene.views[worst].name}: {seen[worst]}). Every set has its own world frame: is "
-            "this another set's box?"
-        )
+    """Refuse a box that is not in the images, as another set's frame would have it; warn of cameras inside it."""
+    box = scene.bounds
+    inside = [view.name for view in scene.views if (np.abs(view.center - box.center) < box.extent / 2).all()]
+    told = (
+        f"{len(inside)} of {len(scene.views)} cameras stand inside the bounding box ({', '.join(inside[:1])}): "
+        "give bounds around the object alone, not the room"
+    )
+    if wrong := _not_in_images(scene.views, box):
+        question = told if inside else "Every set has its own world frame: is this another set's box?"
+        raise SceneError(f"{scene.name}: {wrong}. {question}")
+    if inside:
+        warnings.warn(f"{scene.name}: {told}", stacklevel=3)
 
 
-def _check_foreground(scene: Scene, *, must_fit: bool) -> None:
-    """Refuse a box that cuts a bright object on a dark background off, or warn of it; looks at some of many views."""
+def _not_in_images(views: tuple[View, ...], box: Bounds) -> str | None:
+    """How a box is not what the images show, or None."""
+    steps = (np.arange(_PROBES) + 0.5) / _PROBES
+    probes = box.low + np.stack(np.meshgrid(steps, steps, steps), axis=-1).reshape(-1, 3) * box.extent
+    seen = [float(view.sees(probes).mean()) for view in views]
+    share, off = np.median(seen), np.median([_off_center(view, box) for view in views])
+    # An object that fills the frame leaves it on all sides; another set's box leaves it on one.
+    if share >= _LEAST_SEEN and (share >= _NEARLY_ALL or off <= _OFF_CENTER):
+        return None
+    worst = int(np.argmin(seen))
+    return (
+        "expected the bounding box in the middle of most images, or most of it inside, got "
+        f"{100 * share:.0f}% of it inside the median image ({views[worst].name}: {100 * seen[worst]:.0f}%)"
+    )
+
+
+def _off_center(view: View, box: Bounds) -> float:
+    """How far from the image's middle a box's middle is, 0 to 1 at the image's border; behind the camera: infinite."""
+    pixels, depth = view.project(box.center[None])
+    half = np.array([view.width, view.height]) / 2
+    return float(np.abs((pixels[0] + 0.5) / half - 1).max()) if depth[0] > 0 else np.inf
+
+
+def _check_foreground(scene: Scene, *, must_fit: bool, otherwise: str = "") -> bool:
+    """Refuse a box that cuts a bright object on a dark background off, or warn of it; looks at some of many views.
+
+    Parameters
+    ----------
+    otherwise : end of the warning.
+
+    Returns
+    -------
+    Whether nothing was found to be wrong.
+    """
     n = len(scene.views)
     pixels = sum(view.width * view.height for view in scene.views) / n
     looked_at = int(np.clip(_CHECKED / pixels, min(_FEWEST, n), n))
@@ -124,12 +247,14 @@ def _check_foreground(scene: Scene, *, must_fit: bool) -> None:
         bright = foreground(view.image)
         held, all_bright = (int(np.count_nonzero(mask)) for mask in (bright & bounds_mask(scene.bounds, view), bright))
         shares.append(held / max(all_bright, 1))
-    if np.median(shares) < 0.9:
-        message = (
-            f"{scene.name}: the bounding box holds only {100 * np.median(shares):.0f}% of the bright pixels of the "
-            "median image. Is this another set's box (every set has its own world frame), or a background that is not "
-            "dark? For that give silhouettes as a folder of masks, or none"
-        )
-        if must_fit:
-            raise SceneError(message)
-        warnings.warn(message, stacklevel=3)
+    if np.median(shares) >= 0.9:
+        return True
+    message = (
+        f"{scene.name}: the bounding box holds only {100 * np.median(shares):.0f}% of the bright pixels of the "
+        "median image. Is this another set's box (every set has its own world frame), or a background that is not "
+        "dark? For that give silhouettes as a folder of masks, or none"
+    )
+    if must_fit:
+        raise SceneError(message)
+    warnings.warn(message + otherwise, stacklevel=3)
+    return False

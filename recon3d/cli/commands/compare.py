@@ -38,7 +38,7 @@ def command(
     ] = None,
     silhouettes: options.Silhouettes = "auto",
     bounds: options.Bounds = None,
-    mm_per_unit: options.MmPerUnit = 1000.0,
+    mm_per_unit: options.MmPerUnit = None,
     n_voxels: Annotated[
         int, typer.Option("--voxels", help="Approximate number of voxels.", rich_help_panel=CARVING)
     ] = 1_000_000,
@@ -76,13 +76,15 @@ def command(
         views=views_of(views),
         max_views=max_views,
     )
-    require_number("--mm-per-unit", mm_per_unit, "(0, inf)")
-    measuring: dict[str, Any] = {}
     if valid and not ground_truth:
         raise ArgumentError("--valid: expected --ground-truth, too")
+    if mm_per_unit is not None:
+        require_number("--mm-per-unit", mm_per_unit, "(0, inf)")
+    loaded = load(scene, bounds, silhouettes, mm_per_unit)
+    measuring: dict[str, Any] = {}
     if ground_truth:
         truth, mask = read_ground_truth(
-            ground_truth, valid=valid, valid_within_mm=valid_within, mm_per_unit=mm_per_unit
+            ground_truth, valid=valid, valid_within_mm=valid_within, mm_per_unit=loaded.mm_per_unit
         )
         measuring = {
             "ground_truth": truth,
@@ -90,7 +92,6 @@ def command(
             "accuracy_percent": accuracy_percent,
             "completeness_threshold_mm": completeness_threshold,
         }
-    loaded = load(scene, bounds, silhouettes, mm_per_unit)
     folder = writable(output or Path("recon3d-output") / f"{loaded.name}-tests")
     with progress() as report:
         result = compare(

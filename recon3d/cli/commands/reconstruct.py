@@ -45,7 +45,7 @@ def command(
     ] = None,
     silhouettes: options.Silhouettes = "auto",
     bounds: options.Bounds = None,
-    mm_per_unit: options.MmPerUnit = 1000.0,
+    mm_per_unit: options.MmPerUnit = None,
     n_voxels: Annotated[
         int | None,
         typer.Option("--voxels", help="Approximate number of voxels.", show_default="1000000", rich_help_panel=CARVING),

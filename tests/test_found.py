@@ -1,0 +1,294 @@
+"""Masks, boxes and words that are found where a scene does not say them."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from formats import farthest_apart, without_skew, write_colmap, write_masks, write_photographs
+from numpy.typing import NDArray
+from scenes import plain_view
+from typer.testing import CliRunner
+
+from recon3d.cli.entry import app
+from recon3d.datasets.synthetic import BuiltInScene
+from recon3d.errors import ArgumentError, DataError, SceneError
+from recon3d.io import open_scene, write_middlebury
+from recon3d.io.files import write_image
+from recon3d.scene.bounds import Bounds
+from recon3d.scene.enclosing import enclosing_box, looked_at
+from recon3d.scene.scene import Scene
+from recon3d.scene.view import View
+
+
+@pytest.fixture
+def bare(temple: BuiltInScene, tmp_path: Path) -> Path:
+    """The temple as a Middlebury set without masks."""
+    views = tuple(replace(view, mask=None) for view in temple.scene.views)
+    return write_middlebury(replace(temple.scene, views=views), tmp_path / "set")
+
+
+def same_masks(read: Scene, expected: Scene) -> bool:
+    return all(
+        np.array_equal(view.silhouette, ours.silhouette)  # type: ignore[arg-type]
+        for view, ours in zip(read.views, expected.views, strict=True)
+    )
+
+
+@pytest.mark.parametrize("folder", ["mask", "masks", "Silhouettes", "silhouette", "../masks"])
+@pytest.mark.parametrize("form", ["{name}", "{stem}.pgm", "{name}.png", "{stem}.mask.png", "{stem}_mask.png"])
+def test_masks_under_usual_names_are_found(temple: BuiltInScene, bare: Path, folder: str, form: str) -> None:
+    write_masks(temple.scene, bare / folder, form)
+    read = open_scene(bare)
+    assert same_masks(read, temple.scene)
+    assert read.notes["masks"].startswith("8 of 8 views, ")
+
+
+def test_masks_among_the_photographs_are_found_where_they_say_so(temple: BuiltInScene, bare: Path) -> None:
+    write_masks(temple.scene, bare, "{stem}_mask.png")
+    assert same_masks(open_scene(bare), temple.scene)
+
+
+@pytest.mark.parametrize(
+    "stored",
+    [
+        lambda mask: mask.astype(np.uint8),
+        lambda mask: mask.astype(np.uint16),
+        lambda mask: mask.astype(np.uint16) * np.uint16(65535),
+        lambda mask: mask.astype(np.uint8) * np.uint8(128),
+        lambda mask: np.where(mask, 180, 60).astype(np.uint8),
+        lambda mask: np.repeat(255 * mask[..., None].astype(np.uint8), 3, 2),
+    ],
+)
+def test_whatever_values_masks_hold_half_of_white_divides_them(
+    temple: BuiltInScene, bare: Path, stored: Callable[[NDArray[np.bool_]], NDArray[np.uint8]]
+) -> None:
+    (bare / "masks").mkdir()
+    for view in temple.scene.views:
+        assert view.silhouette is not None
+        assert cv2.imwrite(str(bare / "masks" / view.name), stored(view.silhouette))
+    assert same_masks(open_scene(bare), temple.scene)
+
+
+@pytest.mark.parametrize("scale", [0.5, 2])
+def test_masks_of_another_size_are_scaled(temple: BuiltInScene, bare: Path, scale: float) -> None:
+    (bare / "masks").mkdir()
+    for view in temple.scene.views:
+        assert view.silhouette is not None
+        mask = 255 * view.silhouette.astype(np.uint8)
+        way = cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR
+        assert cv2.imwrite(
+            str(bare / "masks" / view.name), cv2.resize(mask, None, fx=scale, fy=scale, interpolation=way)
+        )
+    for view, ours in zip(open_scene(bare).views, temple.scene.views, strict=True):
+        assert view.silhouette is not None
+        assert np.mean(view.silhouette != ours.silhouette) < 0.01
+
+
+def test_some_of_the_views_may_have_masks(temple: BuiltInScene, bare: Path) -> None:
+    write_masks(replace(temple.scene, views=temple.scene.views[:3]), bare / "masks", "{name}")
+    read = open_scene(bare)
+    assert [view.has_silhouette for view in read.views] == [True] * 3 + [False] * 5
+    assert read.notes["masks"] == "3 of 8 views, masks"
+
+
+def test_masks_that_are_named_otherwise_are_told_of(temple: BuiltInScene, bare: Path) -> None:
+    for n, view in enumerate(temple.scene.views):
+        write_image(bare / "masks" / f"cut{n}.png", view.silhouette)  # type: ignore[arg-type]
+    with pytest.warns(
+        UserWarning, match=r"masks: none of its 8 images \(cut0\.png\) is named like a view \(view01\.png\)"
+    ):
+        assert "masks" not in open_scene(bare).notes
+
+
+def test_masks_in_one_folder_belong_to_views_in_several(temple: BuiltInScene, tmp_path: Path) -> None:
+    names = [f"{'ab'[n % 2]}/{view.name}" for n, view in enumerate(temple.scene.views)]
+    write_photographs(temple.scene, tmp_path / "images", names)
+    renamed = [replace(view, name=name) for view, name in zip(temple.scene.views, names, strict=True)]
+    write_colmap(without_skew(replace(temple.scene, views=tuple(renamed))), tmp_path / "sparse")
+    write_masks(temple.scene, tmp_path / "masks", "{name}.png")
+    read = open_scene(tmp_path)
+    assert read.notes["masks"] == "8 of 8 views, masks"
+    for view in read.views:
+        ours = next(ours for ours in temple.scene.views if ours.name == Path(view.name).name)
+        np.testing.assert_array_equal(view.silhouette, ours.silhouette)
+
+
+def test_a_readme_of_another_frame_gives_no_box(temple: BuiltInScene, tmp_path: Path) -> None:
+    write_photographs(temple.scene, tmp_path / "images")
+    write_masks(temple.scene, tmp_path / "masks", "{name}.png")
+    write_colmap(without_skew(temple.scene), tmp_path / "sparse")
+    (tmp_path / "README.txt").write_text("The box is (-0.05 -0.04 0) (0.05 0.04 0.12)\n")
+    assert open_scene(tmp_path).notes["bounds"] == "those of the README"
+    (tmp_path / "README.txt").write_text("The box is (3 3 3) (4 4 4)\n")
+    assert open_scene(tmp_path).notes["bounds"].endswith("found from the silhouettes of 8 views")
+
+
+def test_two_masks_of_a_view_are_refused(temple: BuiltInScene, bare: Path) -> None:
+    write_masks(temple.scene, bare / "masks", "{name}")
+    write_masks(temple.scene, bare / "masks", "{stem}.mask.png")
+    with pytest.raises(DataError, match=r"one mask for view view01\.png, found 2: view01\.mask\.png, view01\.png"):
+        open_scene(bare)
+
+
+def write_opacity(scene: Scene, folder: Path, opacity: Callable[[View], NDArray[np.uint8]]) -> None:
+    for view in scene.views:
+        assert cv2.imwrite(str(folder / view.name), np.dstack([view.image[..., ::-1], opacity(view)]))
+
+
+def test_opacity_is_the_mask_unless_all_is_opaque(temple: BuiltInScene, bare: Path) -> None:
+    write_opacity(temple.scene, bare, lambda view: 255 * view.silhouette.astype(np.uint8))  # type: ignore[union-attr]
+    read = open_scene(bare)
+    assert same_masks(read, temple.scene)
+    assert read.notes["masks"] == "8 of 8 views, the photographs' opacity"
+    write_opacity(temple.scene, bare, lambda view: np.full((view.height, view.width), 255, np.uint8))
+    assert "masks" not in open_scene(bare, silhouettes="auto").notes
+
+
+def test_a_box_is_found_from_silhouettes(temple: BuiltInScene) -> None:
+    box, how = enclosing_box(temple.scene.views)
+    tight = temple.ground_truth.get_axis_aligned_bounding_box()
+    assert how == "found from the silhouettes of 8 views"
+    assert (np.array(box.low) <= tight.min_bound).all()
+    assert (np.array(box.high) >= tight.max_bound).all()
+    # The cameras look down by 20 degrees: the hull goes on below the temple, by tan(20 degrees) of half its length.
+    assert (box.extent[:2] < 1.25 * tight.get_extent()[:2]).all()
+    assert box.low[2] > -0.019 - 0.008  # padding and a cell
+    assert box.high[2] < 0.124 + 0.008
+
+
+def test_without_silhouettes_a_box_is_what_most_cameras_see(temple: BuiltInScene) -> None:
+    box, how = enclosing_box([replace(view, mask=None) for view in temple.scene.views])
+    assert how == "found from what most cameras see"
+    assert (np.array(box.low) < temple.scene.bounds.low).all()
+    assert (np.array(box.high) > temple.scene.bounds.high).all()
+    centers = temple.scene.centers
+    assert not ((centers > box.low) & (centers < box.high)).all(axis=1).any()
+
+
+def test_cameras_that_look_away_or_in_one_direction_are_told_so(temple: BuiltInScene) -> None:
+    middle = looked_at(temple.scene.views)
+    np.testing.assert_allclose(middle, temple.scene.bounds.center, rtol=0, atol=0.01)
+    away = []
+    for view in temple.scene.views:
+        pose = np.diag([1.0, -1, -1, 1]) @ view.cam_from_world  # OpenGL's axes
+        away.append(View.from_matrices(view.K, pose, view.image, name=view.name))
+    with pytest.raises(
+        SceneError, match=r"behind most of them: are the matrices camera-to-world, or the axes not OpenCV's"
+    ):
+        enclosing_box(away)
+    with pytest.raises(SceneError, match="look in one direction"):
+        enclosing_box([plain_view(name=str(n), cam_from_world=np.eye(4)) for n in range(3)])
+
+
+def test_a_scene_is_made_of_arrays(temple: BuiltInScene, tmp_path: Path) -> None:
+    views = temple.scene.views
+    images = [view.image for view in views]
+    poses = np.array([view.cam_from_world for view in views])
+    masks = [view.silhouette for view in views]
+    made = Scene.from_arrays(images, views[0].K, poses[:, :3], bounds=temple.scene.bounds, silhouettes=masks)
+    assert [view.name for view in made.views] == [f"view{n}" for n in range(1, 9)]
+    assert (
+        farthest_apart(
+            made, replace(temple.scene, views=tuple(replace(v, name=f"view{n + 1}") for n, v in enumerate(views)))
+        )
+        == 0
+    )
+    assert same_masks(made, temple.scene)
+    found = Scene.from_arrays(images, [view.K for view in views], poses, silhouettes=masks)
+    assert found.notes["bounds"] == "found from the silhouettes of 8 views"
+    write_photographs(temple.scene, tmp_path)
+    named = Scene.from_arrays(sorted(tmp_path.iterdir()), views[0].K, poses, bounds=temple.scene.bounds)
+    assert [view.name for view in named.views] == [view.name for view in views]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"K": np.zeros((3, 3, 3))}, "expected K for each of 8 images, got 3"),
+        ({"cam_from_world": np.eye(4)}, r"a pose for each of 8 images, got cam_from_world of shape \(4, 4\)"),
+        ({"names": ["a"]}, "expected names for each of 8 images, got 1"),
+        ({"silhouettes": [None]}, "expected silhouettes for each of 8 images, got 1"),
+    ],
+)
+def test_arrays_that_do_not_go_together_are_refused(
+    temple: BuiltInScene, change: dict[str, object], message: str
+) -> None:
+    views = temple.scene.views
+    given = {"K": views[0].K, "cam_from_world": np.array([view.cam_from_world for view in views]), **change}
+    with pytest.raises(ArgumentError, match=message):
+        Scene.from_arrays([view.image for view in views], bounds=temple.scene.bounds, **given)  # type: ignore[arg-type]
+
+
+def test_a_view_is_made_of_a_projection_matrix(temple: BuiltInScene) -> None:
+    view = temple.scene.views[3]
+    made = View.from_projection(-2 * view.projection, view.image, seen=temple.scene.bounds.center)
+    np.testing.assert_allclose(made.K, view.K, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(made.cam_from_world, view.cam_from_world, rtol=0, atol=1e-12)
+    with pytest.raises(ArgumentError, match=r"view left: .*left-handed"):
+        View.from_projection(view.projection @ np.diag([1, -1, 1, 1]), view.image, name="left")
+
+
+def test_a_box_in_another_unit_and_cameras_inside_a_box_are_told(temple: BuiltInScene, bare: Path) -> None:
+    large = Bounds(*(1000 * np.array(corner) for corner in (temple.scene.bounds.low, temple.scene.bounds.high)))
+    with pytest.raises(SceneError, match=r"Multiplied by 0\.001 they are seen: are they in another unit"):
+        open_scene(bare, bounds=large)
+    with pytest.raises(SceneError, match="8 of 8 cameras stand inside the bounding box"):
+        open_scene(bare, bounds=Bounds([-1, -1, -1], [1, 1, 1]))
+
+
+@pytest.mark.parametrize(
+    ("files", "words"),
+    [
+        (["a.jpg", "b.jpg"], ["It holds 2 images", "photographs without calibration"]),
+        (["a.jpg", "scan.log"], ["1 images, 1 .log", "poses alone, no intrinsics"]),
+        (["sub/shots.MP4"], ["1 .mp4", "a video has no calibration"]),
+        (["a.png", "sfm_data.json"], ["OpenMVG"]),
+        ([], ["It holds nothing"]),
+    ],
+)
+def test_a_folder_that_no_reader_knows_is_described(tmp_path: Path, files: list[str], words: list[str]) -> None:
+    for name in files:
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text("x")
+    with pytest.raises(DataError) as caught:
+        open_scene(tmp_path)
+    message = str(caught.value)
+    assert message.startswith(f"{tmp_path}: not a known scene; expected a folder with a *_par.txt (Middlebury), ")
+    assert all(word in message for word in words)
+    assert "Scene.from_arrays(image_files, K, cam_from_world, bounds=(low, high))" in message
+
+
+def test_the_command_line_prints_a_box_that_was_found(temple: BuiltInScene, bare: Path) -> None:
+    (bare / "README.txt").unlink()
+    write_masks(temple.scene, bare / "masks", "{name}")
+    done = CliRunner().invoke(app, ["info", str(bare)])
+    assert done.exit_code == 0
+    numbers = re.search(r"bounds: +(.*), found from the silhouettes of 8 views", done.output)
+    assert numbers is not None
+    corners = [float(number) for number in numbers[1].split(",")]
+    np.testing.assert_allclose(
+        corners, [*enclosing_box(temple.scene.views)[0].low, *enclosing_box(temple.scene.views)[0].high], atol=1e-6
+    )
+
+
+def test_where_the_background_is_not_dark_and_the_box_was_found_there_are_no_silhouettes(
+    temple: BuiltInScene, bare: Path
+) -> None:
+    (bare / "README.txt").unlink()
+    for view in temple.scene.views:
+        assert view.silhouette is not None
+        image = np.where(view.silhouette[..., None], view.image, np.uint8(220))
+        image[:, :40] = 220
+        write_image(bare / view.name, image)
+    points = np.random.default_rng(0).uniform(temple.scene.bounds.low, temple.scene.bounds.high, (300, 3))
+    write_colmap(without_skew(temple.scene), bare / "sparse", points=points)
+    (bare / "little-temple_par.txt").unlink()
+    with pytest.warns(UserWarning, match=r"a background that is not dark.*no silhouettes are made"):
+        read = open_scene(bare)
+    assert not any(view.has_silhouette for view in read.views)
