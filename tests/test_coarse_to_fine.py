@@ -43,6 +43,7 @@ from recon3d.io import Checkpoints
 from recon3d.kernels.brick_rays import next_brick
 from recon3d.kernels.bricks import BRICK, EMPTY, SOLID
 from recon3d.kernels.item_buffer import next_voxel
+from recon3d.kernels.types import Ray
 from recon3d.scene.bounds import Bounds
 from recon3d.scene.scene import Scene
 from recon3d.scene.silhouettes import without_silhouettes
@@ -153,7 +154,7 @@ def test_distances_to_an_outline_are_the_same_at_every_call() -> None:
 
 def test_rays_that_leave_a_brick_in_one_step_cross_the_walls_that_single_steps_cross() -> None:
     rng = np.random.default_rng(1)
-    shape = np.array([29, 16, 21])
+    shape = (29, 16, 21)
     for n in range(4000):
         start = rng.uniform(-20, 50, 3)
         step = rng.standard_normal(3)
@@ -161,11 +162,12 @@ def test_rays_that_leave_a_brick_in_one_step_cross_the_walls_that_single_steps_c
             start, step = np.round(start), rng.integers(-2, 3, 3).astype(float)
         place = rng.integers(0, shape)
         single = place.copy()
+        ray, by_voxels = Ray(start, step, place), Ray(start, step, single)
         brick = place // BRICK
         inside = True
         while inside and (single // BRICK == brick).all() and step.any():
-            inside = next_voxel(shape, start, step, single)
-        assert next_brick(shape, start, step, place) == (inside and step.any())
+            inside = next_voxel(shape, by_voxels)
+        assert next_brick(shape, ray) == (inside and step.any())
         if inside and step.any():
             np.testing.assert_array_equal(place, single)
 

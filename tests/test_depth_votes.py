@@ -118,7 +118,9 @@ def test_fused_distances_are_the_weighted_mean_of_those_of_every_view(stride: in
     voxels = np.vstack([rng.integers(0, 12, (200, 3)), rng.integers(-30, 40, (200, 3))])
     origin, size, truncation = np.array([-1.8, -1.7, -1.9]), 0.3, 0.8
     distance, support = np.zeros(len(voxels)), np.zeros(len(voxels))
-    fuse_depths(voxels, origin, size, scene.packed.projections, depths, weights, stride, truncation, distance, support)
+    fuse_depths(
+        voxels, origin, size, scene.packed.cameras.projections, depths, weights, stride, truncation, distance, support
+    )
     expected = fused_depths_twin(scene, origin + (voxels + 0.5) * size, depths, weights, stride, truncation)
     np.testing.assert_allclose(distance, expected[0], atol=1e-6)
     np.testing.assert_allclose(support, expected[1], atol=1e-6)

@@ -13,6 +13,8 @@ from recon3d.kernels.footprints import carve_background, footprint, free_pixels,
 from recon3d.kernels.lattice import grow_consistent
 from recon3d.kernels.matching import best_depths
 from recon3d.kernels.ragged import decile_ratios, mean_colors
+from recon3d.kernels.types import Footprints, Pixels
+from recon3d.scene.packed import PackedViews
 from recon3d.scene.view import View
 from recon3d.volume.dense import CarvingVolume
 
@@ -126,12 +128,13 @@ def pixel_box(view: View, low: NDArray[np.float64], size: float) -> tuple[int, i
 
 @pytest.mark.parametrize("size", [0.01, 0.05, 0.3])
 def test_the_footprint_is_the_box_of_whole_pixels_around_the_corners(size: float) -> None:
-    view = photographs(ball_mesh()).views[1]
+    scene = photographs(ball_mesh())
+    view, cameras_of = scene.views[1], scene.packed.cameras
     rng = np.random.default_rng(0)
     seen = clipped = 0
     for low in rng.uniform(-2.6, 2.6, (400, 3)):
         u0, u1, v0, v1 = pixel_box(view, low, size)
-        got = footprint(view.projection, view.width, view.height, *low, size)
+        got = footprint(cameras_of, 1, tuple(low), size)
         if u1 < 0 or v1 < 0 or u0 >= view.width or v0 >= view.height:
             assert got[0] > got[1] or got[2] > got[3]
             assert not got[4]
@@ -145,57 +148,48 @@ def test_the_footprint_is_the_box_of_whole_pixels_around_the_corners(size: float
 
 
 def test_a_voxel_with_a_corner_behind_the_camera_has_no_footprint() -> None:
-    view = photographs(ball_mesh()).views[0]
-    u0, u1, v0, v1, whole = footprint(view.projection, view.width, view.height, *(view.center - 0.05), 0.1)
+    scene = photographs(ball_mesh())
+    u0, u1, v0, v1, whole = footprint(scene.packed.cameras, 0, tuple(scene.centers[0] - 0.05), 0.1)
     assert u0 > u1
     assert v0 > v1
     assert not whole
 
 
-def arrays(size: int = 7) -> tuple[CarvingVolume, dict[str, NDArray[np.generic]]]:
-    """A small volume and the arrays that the kernels see of three views with silhouettes."""
+def small_volume(size: int = 7) -> tuple[CarvingVolume, PackedViews]:
+    """A small volume, and three views with silhouettes."""
     scene = photographs(ball_mesh(0.7), taken_by=cameras(3))
-    volume = CarvingVolume.enclosing(scene.bounds, voxel_size=2.2 / size)
-    free = np.stack([view.silhouette for view in scene.views if view.silhouette is not None])
-    return volume, {
-        "projections": np.stack([view.projection for view in scene.views]),
-        "sizes": np.array([(view.width, view.height) for view in scene.views]),
-        "images": np.stack([view.image for view in scene.views]),
-        "free": free,
-        "integrals": np.pad(free.cumsum(1).cumsum(2), ((0, 0), (1, 0), (1, 0))).astype(np.int32),
-    }
+    return CarvingVolume.enclosing(scene.bounds, voxel_size=2.2 / size), scene.packed
 
 
 def test_carve_background_clears_exactly_the_voxels_whose_box_holds_background_alone() -> None:
-    volume, a = arrays()
+    volume, views = small_volume()
     occupied = volume.occupied.copy()
-    carve_background(occupied, volume.origin, volume.voxel_size, a["projections"], a["sizes"], a["integrals"])
+    carve_background(occupied, volume.lattice.packed, views.cameras, views.integrals)
     for voxel in np.argwhere(volume.occupied):
-        low = volume.origin + volume.voxel_size * voxel
+        low = tuple(volume.origin + volume.voxel_size * voxel)
         expected = True
-        for P, (width, height), free in zip(a["projections"], a["sizes"], a["free"], strict=True):
-            u0, u1, v0, v1, whole = footprint(P, width, height, *low, volume.voxel_size)
-            expected &= not whole or free[v0 : v1 + 1, u0 : u1 + 1].any()
+        for n, foreground in enumerate(views.foreground):
+            u0, u1, v0, v1, whole = footprint(views.cameras, n, low, volume.voxel_size)
+            expected &= not whole or foreground[v0 : v1 + 1, u0 : u1 + 1].any()
         assert occupied[tuple(voxel)] == expected
     assert 0 < occupied.sum() < occupied.size
 
 
 def test_pixels_are_counted_gathered_and_marked_as_slices_would() -> None:
-    volume, a = arrays()
+    volume, views = small_volume()
     rng = np.random.default_rng(0)
-    free = a["free"] & (rng.random(a["free"].shape) < 0.7)
+    free = views.foreground & (rng.random(views.foreground.shape) < 0.7)
     voxels = np.argwhere(volume.occupied)
     boxes = np.empty((len(voxels), 3, 4), np.int32)
     counts = np.empty((len(voxels), 3), np.int64)
     in_frame = np.zeros(len(voxels), np.bool_)
     free_pixels(
-        voxels, volume.origin, volume.voxel_size, a["projections"], a["sizes"], a["integrals"], free,
-        boxes, counts, in_frame,
-    )  # fmt: skip
+        voxels, volume.lattice.packed, views.cameras, views.integrals, free, Footprints(boxes, counts, in_frame)
+    )
     ends = np.cumsum(counts).reshape(counts.shape)
     view_starts = np.concatenate([ends[:, :1] - counts[:, :1], ends], axis=1)
     colors = np.zeros((int(counts.sum()), 3), np.uint8)
-    gather(boxes, view_starts, free, a["images"], colors)
+    gather(boxes, free, views.images, Pixels(colors, view_starts))
     for n in range(len(voxels)):
         any_foreground = False
         for view in range(3):
@@ -203,8 +197,8 @@ def test_pixels_are_counted_gathered_and_marked_as_slices_would() -> None:
             window = free[view, v0 : v1 + 1, u0 : u1 + 1]
             assert counts[n, view] == window.sum()
             own = colors[view_starts[n, view] : view_starts[n, view + 1]]
-            np.testing.assert_array_equal(own, a["images"][view, v0 : v1 + 1, u0 : u1 + 1][window])
-            any_foreground |= bool(a["free"][view, v0 : v1 + 1, u0 : u1 + 1].any())
+            np.testing.assert_array_equal(own, views.images[view, v0 : v1 + 1, u0 : u1 + 1][window])
+            any_foreground |= bool(views.foreground[view, v0 : v1 + 1, u0 : u1 + 1].any())
         assert in_frame[n] == any_foreground
     assert counts.sum() > 500
 

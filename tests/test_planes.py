@@ -72,11 +72,11 @@ def visible_twin(
 def found_visible(
     scene: Scene, depths: NDArray[np.float32], normals: NDArray[np.float32], others: list[int], tolerance: float
 ) -> NDArray[np.uint32]:
-    views = scene.packed
+    cameras = scene.packed.cameras
     visible = np.full((18, 24), 77, np.uint32)
     find_visible(
-        depths[0], normals[0], views.centers[0], views.world_from_pixel[0], views.projections[others],
-        views.centers[others], views.sizes[others], depths[others], STRIDE, tolerance, 0.15, visible,
+        depths[0], normals[0], cameras.centers[0], cameras.world_from_pixel[0], cameras.projections[others],
+        cameras.centers[others], cameras.sizes[others], depths[others], STRIDE, tolerance, 0.15, visible,
     )  # fmt: skip
     return visible
 
@@ -148,15 +148,15 @@ class World:
     """A smooth random image before two others, and the pixels' places in those as match_planes wants them."""
 
     def __init__(self, scene: Scene) -> None:
-        views = scene.packed
+        cameras = scene.packed.cameras
         rng = np.random.default_rng(5)
         noise = [gaussian_filter(rng.standard_normal((36, 48)), 2.0) for _ in range(3)]
         self.grey = np.stack([128 + 40 * image / image.std() for image in noise]).astype(np.float32)
         self.sizes = np.array([[48, 36]] * 3)
-        P = views.projections[[1, 2]]
-        self.H = P[:, :, :3] @ views.world_from_pixel[0]
-        self.e = P[:, :, :3] @ views.centers[0] + P[:, :, 3]
-        distance = np.linalg.norm(views.centers[0])
+        P = cameras.projections[[1, 2]]
+        self.H = P[:, :, :3] @ cameras.world_from_pixel[0]
+        self.e = P[:, :, :3] @ cameras.centers[0] + P[:, :, 3]
+        distance = np.linalg.norm(cameras.centers[0])
         self.planes = np.empty((18, 24, 3), np.float32)
         self.planes[..., 0] = 1 / (distance + rng.uniform(-0.5, 0.5, (18, 24)))
         self.planes[..., 1:] = rng.uniform(-5e-4, 5e-4, (18, 24, 2))
@@ -310,10 +310,10 @@ def test_planes_are_averaged_with_those_that_agree(
     points, means, colors = np.zeros((3, *planes.shape))
     support = np.zeros(depths.shape)
     agreeing, contradicting = np.zeros((2, *depths.shape), np.int64)
-    views, asked = scene.packed, np.array([[1, 2, 3], [3, 2, 0], [0, 1, 3], [0, 1, 2]])
+    views, cameras, asked = scene.packed, scene.packed.cameras, np.array([[1, 2, 3], [3, 2, 0], [0, 1, 3], [0, 1, 2]])
     average_planes(
-        views.projections, views.centers, views.world_from_pixel, views.images, views.sizes, planes, normals, weights,
-        asked, STRIDE, 0.1, 0.8, points, means, colors, support, agreeing, contradicting,
+        cameras.projections, cameras.centers, cameras.world_from_pixel, views.images, cameras.sizes, planes, normals,
+        weights, asked, STRIDE, 0.1, 0.8, points, means, colors, support, agreeing, contradicting,
     )  # fmt: skip
     for place in map(tuple, np.argwhere(weights > 0)):
         point, normal, color, weight, n_agreeing, n_contradicting = average_twin(

@@ -77,7 +77,7 @@ def test_agreement_speaks_for_existence_and_contradiction_against_it() -> None:
 def test_a_walk_meets_the_voxels_that_small_steps_meet(target: tuple[int, int, int], center: tuple[float, ...]) -> None:
     shape = (7, 5, 5)
     path = np.empty(sum(shape), np.int64)
-    n = walk(np.array(center), *target, shape, True, path)
+    n = walk(np.array(center), np.array(target), shape, True, path)
     steps = np.linspace(0, 1, 200_001)[1:, None] * 20
     points = np.array(center) + steps * (np.array(target) + 0.5 - center)
     inside = points[((points >= 0) & (points < shape)).all(axis=1)]
@@ -87,14 +87,14 @@ def test_a_walk_meets_the_voxels_that_small_steps_meet(target: tuple[int, int, i
     walked = path[:n].tolist()
     assert [voxel for voxel in walked if voxel in set(expected.tolist())] == expected.tolist()
     assert len(walked) <= len(expected) + 2
-    until = walk(np.array(center), *target, shape, False, path)
+    until = walk(np.array(center), np.array(target), shape, False, path)
     assert path[until - 1] == np.ravel_multi_index(target, shape)
 
 
 def test_visibility_is_the_product_along_the_ray() -> None:
     probability = np.random.default_rng(3).uniform(0, 0.4, (4, 1, 1)).astype(np.float32)
     path = np.empty(6, np.int64)
-    seen = visibility(probability, np.array([-3.0, 0.5, 0.5]), 3, 0, 0, path)
+    seen = visibility(probability, np.array([-3.0, 0.5, 0.5]), np.array([3, 0, 0]), path)
     assert seen == pytest.approx(np.prod(1 - probability[:3, 0, 0]), rel=1e-6)
 
 

@@ -121,14 +121,14 @@ def test_scenes_are_packed_once_a_scale_with_the_scaled_cameras() -> None:
     half = scene.packed_at(0.5)
     assert half is scene.packed_at(0.5)
     assert scene.packed is scene.packed_at(1)
-    assert half.sizes.tolist() == [[20, 15], [12, 10]]
+    assert half.cameras.sizes.tolist() == [[20, 15], [12, 10]]
     assert half.images.shape == (2, 15, 20, 3)
     for n, view in enumerate(scene.views):
         camera = view.calibration.at(0.5)
         part = np.s_[n, : camera.height, : camera.width]
         np.testing.assert_array_equal(half.images[part], view.image_at(0.5))
-        np.testing.assert_allclose(half.projections[n], camera.K @ camera.cam_from_world[:3])
-        np.testing.assert_allclose(half.focals[n], scene.packed.focals[n] / 2)
+        np.testing.assert_allclose(half.cameras.projections[n], camera.K @ camera.cam_from_world[:3])
+        np.testing.assert_allclose(half.cameras.focals[n], scene.packed.cameras.focals[n] / 2)
         silhouette = view.silhouette_at(0.5)
         np.testing.assert_array_equal(half.foreground[part], True if silhouette is None else silhouette)
 

@@ -102,16 +102,13 @@ def test_kernels_are_their_slow_twins() -> None:
     points, normals = (np.asarray(x)[::9].copy() for x in (mesh.vertices, mesh.vertex_normals))
     views = scene.packed
     facing = np.empty((5, len(points)), np.bool_)
-    facing_views(points, normals, views.projections, views.centers, views.sizes, facing)
+    facing_views(points, normals, views.cameras, facing)
     for row, view in zip(facing, scene.views, strict=True):
         towards = ((view.center - points) * normals).sum(axis=1) > 0
         np.testing.assert_array_equal(row, view.sees(points) & towards)
     trust = np.random.default_rng(0).choice([0.0, 0.05, 1.0], views.foreground.shape).astype(np.float32)
     colors = np.full((len(points), 3), np.nan)
-    agreed_colors(
-        points, normals, facing, views.projections, views.centers, views.focals, views.sizes, views.images, trust,
-        colors,
-    )  # fmt: skip
+    agreed_colors(points, normals, facing, views.cameras, views.images, trust, colors)
     slow = colors_slowly(points, normals, facing, scene, trust)
     assert 0.1 < np.isnan(slow[:, 0]).mean() < 0.9
     np.testing.assert_allclose(colors, slow, atol=1e-6)

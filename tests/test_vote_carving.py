@@ -74,12 +74,12 @@ def matched(
     min_deviation: float = 1.0,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """What ``best_depths`` finds for pixels (n, 2) of the first view: depths, NaN where none, and scores."""
-    views = scene.packed
-    P = views.projections[others]
+    cameras = scene.packed.cameras
+    P = cameras.projections[others]
     depths, scores = np.full(len(pixels), np.nan), np.zeros(len(pixels))
     best_depths(
-        grey[0], *views.sizes[0], grey[others], views.sizes[others], P[:, :, :3] @ views.world_from_pixel[0],
-        P[:, :, :3] @ views.centers[0] + P[:, :, 3], pixels, nearest, farthest, step, radius, spacing, min_deviation,
+        grey[0], *cameras.sizes[0], grey[others], cameras.sizes[others], P[:, :, :3] @ cameras.world_from_pixel[0],
+        P[:, :, :3] @ cameras.centers[0] + P[:, :, 3], pixels, nearest, farthest, step, radius, spacing, min_deviation,
         depths, scores,
     )  # fmt: skip
     return depths, scores
@@ -125,8 +125,16 @@ def test_depths_of_a_ball_are_found_between_the_tried_ones() -> None:
 def test_agreements_are_counted_as_by_projecting_every_point(scene: Scene, stride: int, tolerance: float) -> None:
     depths = true_depths(scene, stride, noise=0.03)
     counts = np.zeros(depths.shape, np.int64)
-    views = scene.packed
-    count_agreements(views.projections, views.centers, views.world_from_pixel, depths, stride, tolerance, counts)
+    cameras = scene.packed.cameras
+    count_agreements(
+        cameras.projections,
+        cameras.centers,
+        cameras.world_from_pixel,
+        depths,
+        stride,
+        tolerance,
+        counts,
+    )
     np.testing.assert_array_equal(counts, agreements_twin(scene, depths, stride, tolerance))
     assert {0, 1, 2} <= set(np.unique(counts))
 

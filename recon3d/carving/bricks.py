@@ -12,7 +12,7 @@ from recon3d.carving.item_buffer import SeenItems
 from recon3d.carving.observations import mean_color
 from recon3d.errors import ArgumentError
 from recon3d.kernels.brick_rays import GONE, NOT_ENTERED, advance_bricks
-from recon3d.kernels.bricks import BRICK, SOLID, exposed_bricks
+from recon3d.kernels.bricks import BRICK, SOLID, StoredBricks, exposed_bricks
 from recon3d.scene.packed import PackedViews
 from recon3d.volume.dense import CarvingVolume
 from recon3d.volume.lattice import BAND, Lattice, check_memory
@@ -43,6 +43,7 @@ class Bricks:
     """Occupancy that grows where it is carved: solid bricks are stored when something in them becomes visible."""
 
     def __init__(self, lattice: Lattice) -> None:
+        self.lattice = lattice
         self.origin, self.size = lattice.origin, lattice.voxel_size
         self.shape = np.array(lattice.shape)
         """(3,) voxels of the lattice."""
@@ -53,6 +54,11 @@ class Bricks:
         self.occupied = np.empty((0, BRICK, BRICK, BRICK), np.bool_)
         self.distance: NDArray[np.float32] | None = None
         """Of the bricks that it is known for, the first stored; in all others it is at its limit."""
+
+    @property
+    def stored(self) -> StoredBricks:
+        """As kernels read them."""
+        return StoredBricks(self.slots, self.bricks, self.occupied)
 
     @property
     def n_places(self) -> int:
@@ -161,10 +167,7 @@ class BrickItems(SeenItems):
         while True:
             touched = np.concatenate([touched, np.zeros(volume.n_places - len(touched), np.bool_)])
             missing = np.zeros(volume.slots.shape, np.bool_)
-            advance_bricks(
-                volume.shape, volume.origin, volume.size, volume.slots, volume.bricks, volume.occupied,
-                views.centers, views.world_from_pixel, self.items, touched, missing,
-            )  # fmt: skip
+            advance_bricks(volume.lattice.packed, volume.stored, views.cameras, self.items, touched, missing)
             if not missing.any():
                 break
             volume.store(missing)

@@ -50,7 +50,7 @@ def carve_by_depths(
     voxels = np.argwhere(occupied)
     distance, support = np.zeros(len(voxels)), np.zeros(len(voxels))
     fuse_depths(
-        voxels, volume.origin, volume.voxel_size, views.projections, depths, weights, stride, truncation,
+        voxels, volume.origin, volume.voxel_size, views.cameras.projections, depths, weights, stride, truncation,
         distance, support,
     )  # fmt: skip
     votes, weight = np.zeros(volume.shape, np.float32), np.zeros(volume.shape, np.float32)

@@ -113,7 +113,7 @@ class _SparseState:
         visible = self.buffer.visible_mask()
         supported = visible & self.consistent
         seeds, n_visible = np.flatnonzero(supported), int(np.count_nonzero(visible))
-        grow_support(self.bricks.slots, self.bricks.bricks, visible, self.offsets, supported, seeds, n_visible)
+        grow_support(self.bricks.stored, visible, self.offsets, supported, seeds, n_visible)
         return np.flatnonzero(visible & ~supported)
 
     def carve(self, voxels: NDArray[np.int64]) -> None:

@@ -78,20 +78,19 @@ def hull_bricks(scene: Scene, lattice: Lattice, *, tolerance: int = 0) -> Bricks
     """Visual hull in bricks, with the distance to it."""
     outlines = silhouette_outlines(scene, tolerance)
     hull = Bricks(lattice)
-    place = (hull.shape, hull.origin, hull.size)
-    limit = BAND * hull.size
+    place, limit = lattice.packed, BAND * lattice.voxel_size
 
     slots = hull.slots
-    bound_bricks(*place, *outlines, tolerance, limit, slots)
+    bound_bricks(place, outlines, limit, slots)
     undecided = np.argwhere(slots == UNDECIDED)
     kinds = np.empty(len(undecided), np.int32)
-    sample_bricks(undecided, *place, *outlines, tolerance, limit, _no_field(0), kinds)
+    sample_bricks(undecided, place, outlines, limit, _no_field(0), kinds)
     slots[tuple(undecided.T)] = kinds
 
     stored = np.argwhere(slots == UNDECIDED)
     hull.require_memory(len(stored))
     field = _no_field(len(stored))
-    sample_bricks(stored, *place, *outlines, tolerance, limit, field, np.empty(len(stored), np.int32))
+    sample_bricks(stored, place, outlines, limit, field, np.empty(len(stored), np.int32))
     slots[tuple(stored.T)] = np.arange(len(stored), dtype=np.int32)
     hull.place(slots, field)
     if not hull.n_occupied:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from recon3d.carving.observations import starts_of
+from recon3d.carving.observations import room_for
 from recon3d.consistency.base import Patches
 from recon3d.errors import VolumeTooLargeError
 from recon3d.kernels.item_buffer import advance, collect_items, count_items, enter_volume
@@ -34,11 +34,10 @@ class SeenItems:
         self._rank[voxels] = np.arange(len(voxels), dtype=np.int32)
         counts = np.zeros((len(voxels), len(self.items)), np.int64)
         count_items(self.items, self._rank, counts)
-        view_starts = starts_of(counts)
-        colors = np.empty((int(view_starts[-1, -1]) if view_starts.size else 0, 3), np.uint8)
-        collect_items(self.items, self._rank, view_starts, self.views.images, colors)
+        pixels = room_for(counts)
+        collect_items(self.items, self._rank, self.views.images, pixels)
         self._rank[voxels] = -1
-        return Patches(colors, view_starts)
+        return Patches(*pixels)
 
     def visible_mask(self) -> NDArray[np.bool_]:
         """(n_places,) voxels that some pixel sees."""
@@ -64,10 +63,8 @@ class ItemBuffer(SeenItems):
 
     def __init__(self, views: PackedViews, volume: CarvingVolume) -> None:
         super().__init__(views, volume.occupied.size)
-        self.origin, self.size, self.shape = volume.origin, volume.voxel_size, np.array(volume.shape)
-        enter_volume(
-            self.shape, self.origin, self.size, views.centers, views.world_from_pixel, views.foreground, self.items
-        )
+        self.lattice = volume.lattice.packed
+        enter_volume(self.lattice, views.cameras, views.foreground, self.items)
         self._entered = False
 
     def advance(self, occupied: NDArray[np.bool_]) -> NDArray[np.int64]:
@@ -76,7 +73,7 @@ class ItemBuffer(SeenItems):
         Returns the flat indices (n,), ascending, of the voxels newly hit.
         """
         touched = np.zeros(occupied.size, np.bool_)
-        advance(occupied, self.origin, self.size, self.views.centers, self.views.world_from_pixel, self.items, touched)
+        advance(occupied, self.lattice, self.views.cameras, self.items, touched)
         if not self._entered:  # rays that enter the volume at an occupied voxel hit it without a step
             self._entered = True
             return self.visible()

@@ -10,6 +10,7 @@ from recon3d.consistency.spec import ask
 from recon3d.kernels.footprints import carve_background, free_pixels, gather, mark
 from recon3d.kernels.ragged import mean_colors
 from recon3d.kernels.rays import observe
+from recon3d.kernels.types import Footprints, Observed, Pixels
 from recon3d.kernels.windows import sample_windows
 from recon3d.scene.packed import PackedViews
 from recon3d.volume.carved import CarvedVolume, Label
@@ -22,28 +23,26 @@ class UnclaimedPixels:
     """Foreground pixels of the views that no accepted voxel has claimed: P_j(v) = B_j(v) minus marked_j (eq. 5)."""
 
     def __init__(self, views: PackedViews, volume: CarvingVolume) -> None:
-        self.views, self.volume = views, volume
+        self.views, self.lattice = views, volume.lattice.packed
         self.mask = views.foreground.copy()
         """(n_views, height, width)."""
 
-    def footprints(self, voxels: NDArray[np.int64]) -> tuple[NDArray[np.int32], NDArray[np.int64], NDArray[np.bool_]]:
-        """Boxes B_j(v) (n, n_views, 4), sizes of P_j(v) (n, n_views), and whether any image shows the voxel."""
-        views, volume = self.views, self.volume
-        boxes = np.empty((len(voxels), len(views), 4), np.int32)
-        counts = np.empty((len(voxels), len(views)), np.int64)
-        in_frame = np.zeros(len(voxels), np.bool_)
-        free_pixels(
-            voxels, volume.origin, volume.voxel_size, views.projections, views.sizes, views.integrals, self.mask,
-            boxes, counts, in_frame,
-        )  # fmt: skip
-        return boxes, counts, in_frame
+    def footprints(self, voxels: NDArray[np.int64]) -> Footprints:
+        """Boxes B_j(v), sizes of P_j(v), and whether any image shows the voxel, of voxels (n, 3)."""
+        views = self.views
+        found = Footprints(
+            boxes=np.empty((len(voxels), len(views), 4), np.int32),
+            counts=np.empty((len(voxels), len(views)), np.int64),
+            in_frame=np.zeros(len(voxels), np.bool_),
+        )
+        free_pixels(voxels, self.lattice, views.cameras, views.integrals, self.mask, found)
+        return found
 
     def patches(self, boxes: NDArray[np.int32], counts: NDArray[np.int64]) -> Patches:
         """P(v) of every voxel of a batch, by the boxes (n, n_views, 4) and counts (n, n_views) of ``footprints``."""
-        view_starts = starts_of(counts)
-        colors = np.empty((int(view_starts[-1, -1]) if view_starts.size else 0, 3), np.uint8)
-        gather(boxes, view_starts, self.mask, self.views.images, colors)
-        return Patches(colors, view_starts)
+        pixels = room_for(counts)
+        gather(boxes, self.mask, self.views.images, pixels)
+        return Patches(*pixels)
 
     def claim(self, boxes: NDArray[np.int32]) -> None:
         """Take the pixels of accepted voxels' boxes (n, n_views, 4) out."""
@@ -56,10 +55,16 @@ def starts_of(counts: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.concatenate([ends[:, :1] - counts[:, :1], ends], axis=1)
 
 
+def room_for(counts: NDArray[np.int64]) -> Pixels:
+    """Unset colours of so many pixels (n, n_views)."""
+    view_starts = starts_of(counts)
+    return Pixels(np.empty((int(view_starts[-1, -1]) if view_starts.size else 0, 3), np.uint8), view_starts)
+
+
 def without_background(views: PackedViews, volume: CarvingVolume) -> tuple[CarvedVolume, NDArray[np.bool_]]:
     """Carved volume with the voxels labelled that project to background alone, and those left (nx, ny, nz)."""
     occupied = volume.occupied.copy()
-    carve_background(occupied, volume.origin, volume.voxel_size, views.projections, views.sizes, views.integrals)
+    carve_background(occupied, volume.lattice.packed, views.cameras, views.integrals)
     hull = CarvedVolume.untouched(volume)
     hull.labels[volume.occupied & ~occupied] = Label.BACKGROUND
     return hull, occupied
@@ -80,7 +85,7 @@ def judge(
     Such extras take more memory than pixels do, so a test that wants them gets a large batch in parts.
     """
     directed, side = bool(getattr(test, "needs_directions", False)), int(getattr(test, "window_side", 0))
-    numbers = len(views.centers) * (3 * directed + side * side)
+    numbers = len(views) * (3 * directed + side * side)
     if not numbers:
         return ask(test, patches)
     step = max(_NUMBERS // numbers, 1)
@@ -96,7 +101,7 @@ def judge(
 
 def _directions(centers: NDArray[np.float64], views: PackedViews) -> NDArray[np.float32]:
     """(n, n_views, 3) unit vectors from points (n, 3) to the cameras."""
-    toward = views.centers - centers[:, None]
+    toward = views.cameras.centers - centers[:, None]
     length = np.linalg.norm(toward, axis=-1, keepdims=True)
     return np.asarray(toward / np.maximum(length, np.finfo(np.float64).tiny), np.float32)
 
@@ -109,31 +114,16 @@ def _windows(
     Samples lie one pixel apart, as fine as the views are, but farther where the voxel is larger than the window: the
     surface may pass anywhere in it, and views must agree on what the whole voxel shows.
     """
-    windows = np.empty((*counts.shape, side * side), np.float32)
-    sample_windows(
-        centers, voxel_size, counts, views.centers, views.projections, views.focals, views.sizes, views.images, side,
-        windows,
-    )  # fmt: skip
-    return windows
+    windows = np.empty((*counts.shape, side, side), np.float32)
+    sample_windows(centers, voxel_size, counts, views.cameras, views.images, windows)
+    return windows.reshape(*counts.shape, side * side)
 
 
-def observed_colors(
-    views: PackedViews, occupied: NDArray[np.bool_], volume: CarvingVolume
-) -> tuple[NDArray[np.int64], NDArray[np.uint8], NDArray[np.bool_]]:
-    """Voxels (n, 3) that some image shows, mean colour of each footprint (n, n_views, 3), and which views have one."""
+def observed_colors(views: PackedViews, occupied: NDArray[np.bool_], volume: CarvingVolume) -> Observed:
+    """The occupied voxels (nx, ny, nz) that some image shows, with the mean colour of each footprint."""
     voxels = np.argwhere(occupied)
     colors = np.zeros((len(voxels), len(views), 3), np.uint8)
     seen = np.zeros((len(voxels), len(views)), np.bool_)
-    observe(
-        voxels,
-        volume.origin,
-        volume.voxel_size,
-        views.projections,
-        views.sizes,
-        views.foreground,
-        views.images,
-        colors,
-        seen,
-    )
+    observe(volume.lattice.packed, views.cameras, views.foreground, views.images, Observed(voxels, colors, seen))
     shown = seen.any(axis=1)
-    return voxels[shown], colors[shown], seen[shown]
+    return Observed(voxels[shown], colors[shown], seen[shown])

@@ -13,7 +13,7 @@ from recon3d.carving.observer import Observer
 from recon3d.carving.start import clear_around_cameras
 from recon3d.checks import require_number, require_whole
 from recon3d.errors import EmptyReconstructionError
-from recon3d.kernels.existence import blend, exist
+from recon3d.kernels.existence import ColorModel, blend, exist
 from recon3d.scene.packed import PackedViews
 from recon3d.scene.scene import Scene
 from recon3d.tasks import Progress
@@ -108,28 +108,17 @@ class ProbabilisticSpaceCarving(Method):
 
         hull, occupied = without_background(views, volume)
         clear_around_cameras(occupied, scene, volume)
-        voxels, colors, seen = observed_colors(views, occupied, volume)
+        observed = observed_colors(views, occupied, volume)
+        voxels = observed.voxels
 
         centers = (scene.centers - volume.origin) / volume.voxel_size
-        density = _color_density(views)
+        model = ColorModel(_color_density(views), self.sigma0, self.outliers, self.prior)
         probability = np.zeros(volume.shape, np.float32)
         probability[tuple(voxels.T)] = self.prior
         posterior = np.empty(len(voxels), np.float32)
-        weights = np.zeros(seen.shape, np.float32)
+        weights = np.zeros(observed.seen.shape, np.float32)
         for n in range(self.rounds):
-            exist(
-                voxels,
-                centers,
-                colors,
-                seen,
-                probability,
-                density,
-                self.sigma0,
-                self.outliers,
-                self.prior,
-                posterior,
-                weights,
-            )
+            exist(observed, centers, probability, model, posterior, weights)
             probability[tuple(voxels.T)] = posterior
             if progress:
                 progress(n + 1, self.rounds)
@@ -141,7 +130,7 @@ class ProbabilisticSpaceCarving(Method):
         hull.set_labels(voxels[accepted], Label.CONSISTENT)
         hull.record(voxels[visible], posterior[visible].astype(np.float64), (weights[visible] > _HIDDEN).sum(axis=1))
         means = np.empty((len(voxels), 3), np.uint8)
-        blend(colors, weights, means)
+        blend(observed.colors, weights, means)
         hull.accept(voxels[accepted], means[accepted])
         if not hull.volume.n_occupied:
             raise EmptyReconstructionError(f"scene {scene.name}: all voxels were carved ({hull.count_text()})")

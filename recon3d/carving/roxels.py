@@ -12,7 +12,7 @@ from recon3d.carving.observer import Observer
 from recon3d.carving.start import clear_around_cameras
 from recon3d.checks import require_number, require_whole
 from recon3d.errors import EmptyReconstructionError
-from recon3d.kernels.responsibility import respond
+from recon3d.kernels.responsibility import Matter, respond
 from recon3d.scene.scene import Scene
 from recon3d.tasks import Progress
 from recon3d.volume.carved import CarvedVolume, Label
@@ -101,34 +101,31 @@ class Roxels(Method):
 
         hull, occupied = without_background(views, volume)
         clear_around_cameras(occupied, scene, volume)
-        voxels, observed, seen = observed_colors(views, occupied, volume)
+        observed = observed_colors(views, occupied, volume)
+        voxels, shown, seen = observed
         at = tuple(voxels.T)
 
         centers = (scene.centers - volume.origin) / volume.voxel_size
-        opacity = np.zeros(volume.shape, np.float32)
-        opacity[at] = self.initial
-        colors = np.zeros((*volume.shape, 3), np.float32)
-        colors[at] = observed.sum(axis=1, dtype=np.float32) / seen.sum(axis=1, dtype=np.float32)[:, None]
-        new_opacity, new_colors = opacity[at], colors[at]
+        matter = Matter(np.zeros(volume.shape, np.float32), np.zeros((*volume.shape, 3), np.float32))
+        matter.opacity[at] = self.initial
+        matter.colors[at] = shown.sum(axis=1, dtype=np.float32) / seen.sum(axis=1, dtype=np.float32)[:, None]
+        new = Matter(matter.opacity[at], matter.colors[at])
         visible = np.zeros(seen.shape, np.float32)
         # The normal density's height is left out of the agreement, so the uniform one is taken relative to it.
         unexplained = min((2 * np.pi * self.sigma0**2) ** 1.5 / 256**3, 1.0)
         for n in range(self.rounds):
-            respond(
-                voxels, centers, observed, seen, opacity, colors, self.sigma0, unexplained, new_opacity, new_colors,
-                visible,
-            )  # fmt: skip
-            opacity[at], colors[at] = new_opacity, new_colors
+            respond(observed, centers, matter, self.sigma0, unexplained, new, visible)
+            matter.opacity[at], matter.colors[at] = new
             if progress:
                 progress(n + 1, self.rounds)
 
-        accepted = new_opacity >= self.threshold
+        accepted = new.opacity >= self.threshold
         hidden = ~accepted & (visible.max(axis=1, initial=0) < _HIDDEN)
         hull.set_labels(voxels[~accepted], Label.INCONSISTENT)
         hull.set_labels(voxels[hidden], Label.HIDDEN)
         hull.set_labels(voxels[accepted], Label.CONSISTENT)
-        hull.record(voxels[~hidden], np.clip(new_opacity[~hidden], 0, 1), (visible[~hidden] >= _HIDDEN).sum(axis=1))
-        hull.accept(voxels[accepted], np.rint(new_colors[accepted]).astype(np.uint8))
+        hull.record(voxels[~hidden], np.clip(new.opacity[~hidden], 0, 1), (visible[~hidden] >= _HIDDEN).sum(axis=1))
+        hull.accept(voxels[accepted], np.rint(new.colors[accepted]).astype(np.uint8))
         if not hull.volume.n_occupied:
             raise EmptyReconstructionError(f"scene {scene.name}: all voxels were carved ({hull.count_text()})")
         return hull

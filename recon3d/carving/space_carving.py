@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 from recon3d.carving.hysteresis import keep_connected, label_voxels, neighbour_offsets
 from recon3d.carving.method import JudgingMethod
-from recon3d.carving.observations import judge, mean_color, starts_of, without_background
+from recon3d.carving.observations import judge, mean_color, room_for, without_background
 from recon3d.carving.observer import Observer, Voxel
 from recon3d.carving.start import clear_around_cameras
 from recon3d.checks import require_whole
 from recon3d.consistency.base import ConsistencyTest, Patches, Verdict
 from recon3d.errors import EmptyReconstructionError
-from recon3d.kernels.sweeps import claim, gather_visible, visible_pixels
+from recon3d.kernels.sweeps import Claims, SweepFootprints, claim, gather_visible, visible_pixels
 from recon3d.scene.packed import PackedViews
 from recon3d.scene.scene import Scene
 from recon3d.tasks import Progress
@@ -133,27 +133,29 @@ class _Carving:
         observer: Observer | None,
     ) -> None:
         self.views, self.hull, self.occupied, self.test, self.observer = views, hull, occupied, test, observer
-        self.shape = np.array(occupied.shape)
-        self.sweep_of = np.where(views.foreground, _largest_components(scene, views.foreground.shape), np.int8(-1))
-        self.first_layers = _first_layers(scene, hull.volume)
-        # Nothing is seen through the pixels of a sweep before it has run.
-        self.claimed = np.full(views.foreground.shape, -1, np.int32)
+        self.lattice = hull.lattice.packed
+        self.claims = Claims(
+            sweep_of=np.where(views.foreground, _largest_components(scene, views.foreground.shape), np.int8(-1)),
+            first_layers=_first_layers(scene, hull.volume),
+            # Nothing is seen through the pixels of a sweep before it has run.
+            claimed=np.full(views.foreground.shape, -1, np.int32),
+        )
 
     def drop_unseen(self) -> None:
         """Leave out voxels that lie outside every image, so that they do not hide others."""
         for batch in _batches(self.occupied):
-            unseen = batch[~self._footprints(batch)[2]]
+            unseen = batch[~self._footprints(batch).in_frame]
             self.occupied[tuple(unseen.T)] = False
 
     def sweep(self, sweep: int) -> int:
         """One plane sweep; returns how many voxels it carved."""
         axis, down = divmod(sweep, 2)
-        n_layers = int(self.shape[axis])
-        own = self.sweep_of == sweep
+        n_layers = self.occupied.shape[axis]
+        own = self.claims.sweep_of == sweep
         taking_part = own.any(axis=(1, 2))
         if not taking_part.any():
             return 0
-        self.claimed[own] = _FREE
+        self.claims.claimed[own] = _FREE
         carved = 0
         for layer in range(n_layers):
             index = n_layers - 1 - layer if down else layer
@@ -169,7 +171,7 @@ class _Carving:
             self.hull.set_labels(voxels[failed], Label.INCONSISTENT)
             # Inner voxels claim pixels too: otherwise baring one would hide others that were seen before.
             in_sweep[failed] = False
-            claim(boxes, np.flatnonzero(in_sweep), sweep, layer, self.sweep_of, self.first_layers, self.claimed)
+            claim(self.claims, sweep, layer, boxes, np.flatnonzero(in_sweep))
             carved += len(failed)
         return carved
 
@@ -205,31 +207,27 @@ class _Carving:
 
     def _footprints(
         self, voxels: NDArray[np.int64], sweep: int = -1, asked: NDArray[np.bool_] | None = None
-    ) -> tuple[NDArray[np.int32], NDArray[np.int64], NDArray[np.bool_], NDArray[np.bool_]]:
-        """Boxes (n, n_views, 4), visible pixels (n, n_views), and whether foreground or the sweep's pixels are in."""
-        views, volume = self.views, self.hull.volume
-        asked = np.ones(len(views), np.bool_) if asked is None else asked
-        boxes = np.empty((len(voxels), len(views), 4), np.int32)
-        counts = np.empty((len(voxels), len(views)), np.int64)
-        in_frame, in_sweep = np.zeros(len(voxels), np.bool_), np.zeros(len(voxels), np.bool_)
-        visible_pixels(
-            voxels, self.shape, volume.origin, volume.voxel_size, views.projections, views.sizes,
-            self.sweep_of, self.first_layers, self.claimed, sweep, asked, boxes, counts, in_frame, in_sweep,
-        )  # fmt: skip
-        return boxes, counts, in_frame, in_sweep
+    ) -> SweepFootprints:
+        """Where voxels (n, 3) lie, and what is visible of them, with regard to one sweep."""
+        n_views = len(self.views)
+        found = SweepFootprints(
+            boxes=np.empty((len(voxels), n_views, 4), np.int32),
+            counts=np.empty((len(voxels), n_views), np.int64),
+            in_frame=np.zeros(len(voxels), np.bool_),
+            in_sweep=np.zeros(len(voxels), np.bool_),
+        )
+        asked = np.ones(n_views, np.bool_) if asked is None else asked
+        visible_pixels(voxels, self.lattice, self.views.cameras, self.claims, sweep, asked, found)
+        return found
 
     def _judge(self, voxels: NDArray[np.int64]) -> tuple[NDArray[np.int64], Patches, Verdict]:
         """Those of the voxels that pixels of any sweep show, all these pixels, and what the test says of them."""
         boxes, counts, _, _ = self._footprints(voxels)
         visible = counts.any(axis=1)
         voxels, boxes, counts = voxels[visible], boxes[visible], counts[visible]
-        view_starts = starts_of(counts)
-        colors = np.empty((int(view_starts[-1, -1]) if view_starts.size else 0, 3), np.uint8)
-        gather_visible(
-            voxels, self.shape, boxes, view_starts, self.sweep_of, self.first_layers, self.claimed,
-            self.views.images, colors,
-        )  # fmt: skip
-        patches = Patches(colors, view_starts)
+        pixels = room_for(counts)
+        gather_visible(voxels, self.lattice, self.claims, boxes, self.views.images, pixels)
+        patches = Patches(*pixels)
         lattice = self.hull.lattice
         verdict = judge(self.test, patches, lattice.centers(voxels), lattice.voxel_size, self.views)
         self.hull.record(voxels, verdict.degree, patches.n_views)
@@ -240,11 +238,12 @@ class _Carving:
     def _showing(self, voxel: Voxel) -> NDArray[np.bool_]:
         """(n_views, height, width) pixels that no layer before the voxel's has claimed in their sweep."""
         place = np.array(voxel)
-        layers = np.stack([place, self.shape - 1 - place], axis=1).ravel()
+        layers = np.stack([place, np.array(self.occupied.shape) - 1 - place], axis=1).ravel()
+        sweep_of, first_layers, claimed = self.claims
         # Pixels of no sweep have the number -1, which looks up some sweep's and is left out.
-        first = np.take_along_axis(self.first_layers, self.sweep_of.reshape(len(self.sweep_of), -1), axis=1)
-        seen = (first.reshape(self.sweep_of.shape) <= layers[self.sweep_of]) & (layers[self.sweep_of] <= self.claimed)
-        return np.asarray((self.sweep_of >= 0) & seen)
+        first = np.take_along_axis(first_layers, sweep_of.reshape(len(sweep_of), -1), axis=1)
+        seen = (first.reshape(sweep_of.shape) <= layers[sweep_of]) & (layers[sweep_of] <= claimed)
+        return np.asarray((sweep_of >= 0) & seen)
 
 
 def _batches(mask: NDArray[np.bool_]) -> Iterator[NDArray[np.int64]]:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from recon3d.errors import ArgumentError, EmptyReconstructionError, SceneError
-from recon3d.kernels.silhouettes import silhouette_distance
+from recon3d.kernels.silhouettes import Outlines, silhouette_distance
 from recon3d.scene.packed import PackedViews
 from recon3d.scene.scene import Scene
 from recon3d.scene.view import View
@@ -44,7 +43,7 @@ def hull_distance(scene: Scene, volume: CarvingVolume, *, tolerance: int = 0) ->
     outlines = silhouette_outlines(scene, tolerance)
     limit = np.float32(BAND * volume.voxel_size)
     field = np.full(volume.shape, limit, np.float32)
-    silhouette_distance(volume.origin, volume.voxel_size, *outlines, tolerance, field)
+    silhouette_distance(volume.lattice.packed, outlines, field)
     if not (volume.occupied & (field > 0)).any():
         raise nothing_inside(scene, lambda alone: float((hull_distance(alone, volume) > 0).mean()))
     return np.maximum(field, -limit)
@@ -53,19 +52,6 @@ def hull_distance(scene: Scene, volume: CarvingVolume, *, tolerance: int = 0) ->
 def any_silhouette(scene: Scene) -> bool:
     """Whether some view of a scene has a silhouette."""
     return any(view.has_silhouette for view in scene.views)
-
-
-class Outlines(NamedTuple):
-    """The silhouettes as kernels read them, of the views that have one."""
-
-    projections: NDArray[np.float64]
-    """(n, 3, 4)."""
-    sizes: NDArray[np.int64]
-    """(n, 2) width and height, pixels."""
-    pixel_scales: NDArray[np.float64]
-    """(n,) a pixel's size at depth one, world units."""
-    distances: NDArray[np.float32]
-    """(n, height, width) signed distance to the outline, pixels, positive inside."""
 
 
 def silhouette_outlines(scene: Scene, tolerance: int = 0) -> Outlines:
@@ -80,7 +66,7 @@ def silhouette_outlines(scene: Scene, tolerance: int = 0) -> Outlines:
     for n, view in enumerate(views):
         distances[n, : view.height, : view.width] = outline_distance(arrays.foreground[n, : view.height, : view.width])
     pixel_scales = np.array([1 / np.sqrt(view.K[0, 0] * view.K[1, 1]) for view in views])
-    return Outlines(arrays.projections, arrays.sizes, pixel_scales, distances)
+    return Outlines(arrays.cameras, pixel_scales, distances, tolerance)
 
 
 def nothing_inside(scene: Scene, share: Callable[[Scene], float]) -> EmptyReconstructionError:

@@ -151,7 +151,7 @@ class _Matcher:
 
     def depth_maps(self, buffer: ItemBuffer, each: _Round) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Confirmed depths and their weights (n_views, rows, columns) of every stride-th pixel; 0 where none."""
-        views, size = self.views, self.volume.voxel_size
+        views, cameras, size = self.views, self.views.cameras, self.volume.voxel_size
         grey = np.stack([cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) for image in views.images]).astype(np.float32)
         items = buffer.items[:, :: each.stride, :: each.stride]
         depths = np.zeros(items.shape, np.float32)
@@ -161,13 +161,13 @@ class _Matcher:
             rows, columns = np.nonzero(items[n] >= 0)
             voxels = np.column_stack(np.unravel_index(items[n][rows, columns], self.volume.shape))
             centers = self.volume.origin + (voxels + 0.5) * size
-            entry = centers @ views.projections[n, 2, :3] + views.projections[n, 2, 3]
+            entry = centers @ cameras.projections[n, 2, :3] + cameras.projections[n, 2, 3]
             found, score = np.zeros(len(entry)), np.full(len(entry), -1.0)
             if others:
-                P = views.projections[others]
+                P = cameras.projections[others]
                 best_depths(
-                    grey[n], *views.sizes[n], grey[others], views.sizes[others],
-                    P[:, :, :3] @ views.world_from_pixel[n], P[:, :, :3] @ views.centers[n] + P[:, :, 3],
+                    grey[n], *cameras.sizes[n], grey[others], cameras.sizes[others],
+                    P[:, :, :3] @ cameras.world_from_pixel[n], P[:, :, :3] @ cameras.centers[n] + P[:, :, 3],
                     each.stride * np.column_stack([columns, rows]), entry - 1.5 * size, entry + reach,
                     each.step * self.scene.pixel_footprint, each.radius, each.spacing, MIN_DEVIATION,
                     found, score,
@@ -177,9 +177,9 @@ class _Matcher:
             weights[n, rows[good], columns[good]] = score[good] ** 2
         agreements = np.zeros(depths.shape, np.int64)
         count_agreements(
-            views.projections,
-            views.centers,
-            views.world_from_pixel,
+            cameras.projections,
+            cameras.centers,
+            cameras.world_from_pixel,
             depths,
             each.stride,
             0.75 * self.resolution,

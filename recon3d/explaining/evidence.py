@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recon3d.carving.observer import Voxel, VoxelWatcher
-from recon3d.carving.start import Outlines, silhouette_outlines
+from recon3d.carving.start import silhouette_outlines
 from recon3d.consistency.fuzzy import LUMINANCE
 from recon3d.kernels.footprints import footprint
-from recon3d.kernels.silhouettes import distance_at
+from recon3d.kernels.silhouettes import Outlines, distance_in
 from recon3d.scene.packed import PackedViews
 from recon3d.scene.scene import Scene
 from recon3d.volume.carved import CarvedVolume, Label
@@ -99,14 +99,13 @@ class Silhouettes:
 
     def _by_centers(self, voxel: Voxel, outlines: Outlines) -> list[str]:
         """Where hulls have distances: a voxel's centre must lie inside the outline."""
-        center = self.volume.origin + (np.array(voxel) + 0.5) * self.volume.voxel_size
+        center = tuple(self.volume.lattice.centers(np.array(voxel)))
         texts = []
         known = 0  # outlines are of the views with a silhouette
         for view in self.scene.views:
             inside = np.inf
             if view.has_silhouette:
-                projections, sizes, scales, distances = (array[known : known + 1] for array in outlines)
-                inside = distance_at(*center, projections, sizes, scales, distances, np.empty(1))
+                inside = distance_in(outlines, known, center)
                 known += 1
             outside = -inside * self.scene.mm_per_unit
             texts.append(f"its centre lies {outside:.2g} mm outside" if inside <= 0 else "")
@@ -115,10 +114,10 @@ class Silhouettes:
     def _by_footprints(self, voxel: Voxel) -> list[str]:
         """Elsewhere: its footprint, if wholly in the image, must hold foreground."""
         views, size = self.views, self.volume.voxel_size
-        corner = self.volume.origin + np.array(voxel) * size
+        corner = tuple(self.volume.origin + np.array(voxel) * size)
         texts = []
-        for n, (width, height) in enumerate(views.sizes):
-            u0, u1, v0, v1, whole = footprint(views.projections[n], width, height, *corner, size)
+        for n in range(len(views)):
+            u0, u1, v0, v1, whole = footprint(views.cameras, n, corner, size)
             box = views.foreground[n, v0 : v1 + 1, u0 : u1 + 1]
             texts.append(f"all {box.size} pixels are background" if whole and not box.any() else "")
         return texts

@@ -11,6 +11,7 @@ from recon3d.carving.observer import Voxel
 from recon3d.errors import ArgumentError
 from recon3d.explaining.evidence import Silhouettes
 from recon3d.kernels.item_buffer import enter_box, next_voxel
+from recon3d.kernels.types import Ray
 from recon3d.scene.packed import PackedViews
 from recon3d.scene.scene import Scene
 from recon3d.volume.carved import CarvedVolume
@@ -38,16 +39,15 @@ def voxels_on_ray(scene: Scene, volume: CarvingVolume, pixel: tuple[str, float, 
         raise ArgumentError(f"view {view.name} has {view.width}x{view.height} pixels, got pixel {u:g},{v:g}")
     start = (view.center - volume.origin) / volume.voxel_size
     step = view.cam_from_world[:3, :3].T @ np.linalg.inv(view.K) @ [u, v, 1.0]
-    shape, place = np.array(volume.shape), np.empty(3, np.int64)
-    ray: list[Voxel] = []
-    inside = enter_box(shape, start, step, place)
+    ray, met = Ray(start, step, np.empty(3, np.int64)), list[Voxel]()
+    inside = enter_box(volume.shape, ray)
     while inside:
-        i, j, k = (int(n) for n in place)
-        ray.append((i, j, k))
-        inside = next_voxel(shape, start, step, place)
-    if not ray:
+        i, j, k = (int(n) for n in ray.place)
+        met.append((i, j, k))
+        inside = next_voxel(volume.shape, ray)
+    if not met:
         raise ArgumentError(f"the ray of pixel {u:g},{v:g} of view {view.name} misses the volume")
-    return ray
+    return met
 
 
 def most_telling(scene: Scene, views: PackedViews, hull: CarvedVolume, ray: list[Voxel]) -> tuple[Voxel, str]:

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recon3d.kernels import Part, kernel, span
-from recon3d.kernels.bricks import BRICK, SOLID
-from recon3d.kernels.item_buffer import enter_box, next_voxel, pixel_ray
+from recon3d.kernels.bricks import BRICK, SOLID, StoredBricks
+from recon3d.kernels.item_buffer import enter_box, next_voxel, start_ray
+from recon3d.kernels.types import Cameras, Lattice, Ray
 
 GONE, NOT_ENTERED = -1, -2
 _MET_SOLID = -3
@@ -19,14 +20,9 @@ _MET_SOLID = -3
 @kernel(parallel=True)
 def advance_bricks(
     part: Part,
-    shape: NDArray[np.int64],
-    origin: NDArray[np.float64],
-    size: float,
-    slots: NDArray[np.int32],
-    bricks: NDArray[np.int64],
-    occupied: NDArray[np.bool_],
-    centers: NDArray[np.float64],
-    world_from_pixel: NDArray[np.float64],
+    lattice: Lattice,
+    stored: StoredBricks,
+    cameras: Cameras,
     items: NDArray[np.int32],
     touched: NDArray[np.bool_],
     missing: NDArray[np.bool_],
@@ -36,8 +32,10 @@ def advance_bricks(
     A ray that meets a solid brick stays as it is and marks the brick (bx, by, bz) in missing: store it, call again.
     """
     n_views, height, width = items.shape
+    slots, bricks, occupied = stored
     flat = occupied.ravel()
-    start, step, place = np.empty(3), np.empty(3), np.empty(3, np.int64)
+    ray = Ray(np.empty(3), np.empty(3), np.empty(3, np.int64))
+    place = ray.place
     for line in span(part, n_views * height):
         view = line // height
         row = line % height
@@ -45,16 +43,16 @@ def advance_bricks(
             item = items[view, row, column]
             if item == GONE or (item >= 0 and flat[item]):
                 continue
-            pixel_ray(origin, size, centers[view], world_from_pixel[view], column, row, start, step)
+            start_ray(lattice, cameras, view, column, row, ray)
             if item >= 0:
                 slot, local = item // BRICK**3, item % BRICK**3
                 place[0] = bricks[slot, 0] * BRICK + local // BRICK**2
                 place[1] = bricks[slot, 1] * BRICK + local // BRICK % BRICK
                 place[2] = bricks[slot, 2] * BRICK + local % BRICK
-            elif not enter_box(shape, start, step, place):
+            elif not enter_box(lattice.shape, ray):
                 items[view, row, column] = GONE
                 continue
-            item = _first_occupied(shape, slots, flat, start, step, place)
+            item = _first_occupied(lattice.shape, slots, flat, ray)
             if item == _MET_SOLID:
                 missing[place[0] // BRICK, place[1] // BRICK, place[2] // BRICK] = True
                 continue
@@ -64,8 +62,9 @@ def advance_bricks(
 
 
 @kernel()
-def _first_occupied(shape: Any, slots: Any, flat: Any, start: Any, step: Any, place: Any) -> int:
+def _first_occupied(shape: Any, slots: Any, flat: Any, ray: Ray) -> int:
     """Walk along a ray to its first occupied voxel, this one included; GONE beyond the lattice."""
+    place = ray.place
     while True:
         slot = slots[place[0] // BRICK, place[1] // BRICK, place[2] // BRICK]
         if slot == SOLID:
@@ -74,20 +73,21 @@ def _first_occupied(shape: Any, slots: Any, flat: Any, start: Any, step: Any, pl
             item = ((slot * BRICK + place[0] % BRICK) * BRICK + place[1] % BRICK) * BRICK + place[2] % BRICK
             if flat[item]:
                 return item
-            inside = next_voxel(shape, start, step, place)
+            inside = next_voxel(shape, ray)
         else:
-            inside = next_brick(shape, start, step, place)
+            inside = next_brick(shape, ray)
         if not inside:
             return GONE
 
 
 @kernel()
-def next_brick(shape: Any, start: Any, step: Any, place: Any) -> bool:
+def next_brick(shape: Any, ray: Ray) -> bool:
     """Step to the ray's first voxel beyond the brick of its place, as ``next_voxel`` over and over; false if none is.
 
     That crosses walls in order of where the ray meets them, then of axis, so the wall that ends the brick tells which
     others have been crossed; rounding is the same since every crossing is computed alike.
     """
+    start, step, place = ray
     axis = -1
     nearest = np.inf
     for a in range(3):

@@ -4,7 +4,7 @@
 (n, BRICK, BRICK, BRICK). Voxels beyond the lattice, in bricks that reach over its end, are stored and empty.
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,17 @@ BRICK = 8
 """Voxels along a brick's edge."""
 EMPTY, SOLID, UNDECIDED = -1, -2, -3
 """What ``slots`` says of bricks that are not stored."""
+
+
+class StoredBricks(NamedTuple):
+    """The bricks of a lattice."""
+
+    slots: NDArray[np.int32]
+    """(bx, by, bz) where each brick is stored in the arrays below; EMPTY or SOLID where it is not."""
+    bricks: NDArray[np.int64]
+    """(n_stored, 3) where each stored brick lies; its lowest voxel is BRICK times that."""
+    occupied: NDArray[np.bool_]
+    """(n_stored, BRICK, BRICK, BRICK)."""
 
 
 @kernel()
@@ -59,14 +70,9 @@ def copy_box(
 
 
 @kernel(parallel=True)
-def surface_voxels(
-    part: Part,
-    slots: NDArray[np.int32],
-    bricks: NDArray[np.int64],
-    occupied: NDArray[np.bool_],
-    surface: NDArray[np.bool_],
-) -> None:
-    """Occupied stored voxels with an empty face neighbour; bricks (n, 3) says where each stored brick lies."""
+def surface_voxels(part: Part, stored: StoredBricks, surface: NDArray[np.bool_]) -> None:
+    """Occupied stored voxels with an empty face neighbour."""
+    slots, bricks, occupied = stored
     for n in span(part, bricks.shape[0]):
         i0, j0, k0 = bricks[n, 0] * BRICK, bricks[n, 1] * BRICK, bricks[n, 2] * BRICK
         for a in range(BRICK):
@@ -117,8 +123,7 @@ def _open_face(
 
 @kernel()
 def grow_support(
-    slots: NDArray[np.int32],
-    bricks: NDArray[np.int64],
+    stored: StoredBricks,
     visible: NDArray[np.bool_],
     offsets: NDArray[np.int64],
     supported: NDArray[np.bool_],
@@ -129,6 +134,7 @@ def grow_support(
 
     capacity is the number of visible voxels.
     """
+    slots, bricks, _ = stored
     stack = np.empty(capacity, np.int64)
     depth = len(seeds)
     stack[:depth] = seeds

@@ -16,6 +16,18 @@ def project(P: NDArray[np.float64], x: float, y: float, z: float) -> tuple[float
 
 
 @kernel()
+def unproject(
+    center: NDArray[np.float64], world_from_pixel: NDArray[np.float64], u: int, v: int, depth: float
+) -> tuple[float, float, float]:
+    """Point (x, y, z) that a pixel shows at a depth."""
+    M = world_from_pixel
+    x = center[0] + depth * (M[0, 0] * u + M[0, 1] * v + M[0, 2])
+    y = center[1] + depth * (M[1, 0] * u + M[1, 1] * v + M[1, 2])
+    z = center[2] + depth * (M[2, 0] * u + M[2, 1] * v + M[2, 2])
+    return x, y, z
+
+
+@kernel()
 def bilinear(image: NDArray[np.float32], u: float, v: float, width: int, height: int) -> float:
     """Value of an image at a sub-pixel place, the border's value beyond the outermost pixel centres."""
     u = min(max(u, 0.0), width - 1.0)

@@ -1,24 +1,38 @@
 """Probabilities that voxels exist, from what the views show of them and from what may hide them."""
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from recon3d.kernels import Part, kernel, span
 from recon3d.kernels.rays import walk
+from recon3d.kernels.types import Observed
 
 _OPAQUE = 1e-4  # what is seen with less than this is not seen
 
 
+class ColorModel(NamedTuple):
+    """What colours views show where a voxel exists, and where it does not."""
+
+    density: NDArray[np.float64]
+    """(b, b, b) of independent colours, per cubed grey level."""
+    sigma: float
+    """Standard deviation of one surface's colour from view to view, grey levels."""
+    outliers: float
+    """Share of the views that show another colour although they see the voxel."""
+    prior: float
+    """Probability that a voxel exists."""
+
+
 @kernel()
 def visibility(
-    probability: NDArray[np.float32], center: NDArray[np.float64], i: int, j: int, k: int, path: NDArray[np.int64]
+    probability: NDArray[np.float32], center: NDArray[np.float64], voxel: NDArray[np.int64], path: NDArray[np.int64]
 ) -> float:
-    """Product of 1 - p over the voxels between a centre (in voxels) and voxel (i, j, k)."""
+    """Product of 1 - p over the voxels between a centre (in voxels) and a voxel (3,)."""
     through = 1.0
     flat = probability.reshape(-1)
-    for n in range(walk(center, i, j, k, probability.shape, False, path) - 1):
+    for n in range(walk(center, voxel, probability.shape, False, path) - 1):
         through *= 1.0 - flat[path[n]]
         if through < _OPAQUE:
             break
@@ -28,27 +42,23 @@ def visibility(
 @kernel(parallel=True)
 def exist(
     part: Part,
-    voxels: NDArray[np.int64],
+    observed: Observed,
     centers: NDArray[np.float64],
-    colors: NDArray[np.uint8],
-    seen: NDArray[np.bool_],
     probability: NDArray[np.float32],
-    density: NDArray[np.float64],
-    sigma: float,
-    outliers: float,
-    prior: float,
+    model: ColorModel,
     posterior: NDArray[np.float32],
     weights: NDArray[np.float32],
 ) -> None:
-    """Posterior probability (n,) of every voxel, and its visibility in every view (n, n_views)."""
+    """Posterior probability (n,) of every voxel, and its visibility in every view (n, n_views); centres in voxels."""
+    voxels, colors, seen = observed
+    density, sigma, outliers, prior = model
     n_views = centers.shape[0]
     independent = np.empty(n_views)
     weight = np.empty(n_views)
     path = np.empty(sum(probability.shape), np.int64)
     for n in span(part, voxels.shape[0]):
-        i, j, k = voxels[n, 0], voxels[n, 1], voxels[n, 2]
         for view in range(n_views):
-            through = visibility(probability, centers[view], i, j, k, path) if seen[n, view] else 0.0
+            through = visibility(probability, centers[view], voxels[n], path) if seen[n, view] else 0.0
             weights[n, view] = through
             weight[view] = (1.0 - outliers) * through
             independent[view] = _density_at(density, colors[n, view])

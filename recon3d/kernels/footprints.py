@@ -6,22 +6,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recon3d.kernels import Part, kernel, span
+from recon3d.kernels.lattice import corner_of
+from recon3d.kernels.types import Cameras, Footprints, Lattice, Pixels
 
 
 @kernel()
-def footprint(
-    projection: NDArray[np.float64],
-    width: int,
-    height: int,
-    x: float,
-    y: float,
-    z: float,
-    size: float,
-) -> Any:
+def footprint(cameras: Cameras, view: int, lowest: tuple[float, float, float], size: float) -> Any:
     """Inclusive pixel box (u0, u1, v0, v1) of a voxel's eight corners, and whether it lies wholly in the image.
 
-    (x, y, z) is the lowest corner. u0 > u1 or v0 > v1: the view does not see the voxel.
+    Given are the lowest corner and the edge's length, world. u0 > u1 or v0 > v1: the view does not see the voxel.
     """
+    projection, width, height = cameras.projections[view], cameras.sizes[view, 0], cameras.sizes[view, 1]
+    x, y, z = lowest
     u_min = v_min = np.inf
     u_max = v_max = -np.inf
     for corner in range(8):
@@ -64,26 +60,16 @@ def _box_sum(integral: NDArray[np.int32], u0: int, u1: int, v0: int, v1: int) ->
 
 @kernel(parallel=True)
 def carve_background(
-    part: Part,
-    occupied: NDArray[np.bool_],
-    origin: NDArray[np.float64],
-    size: float,
-    projections: NDArray[np.float64],
-    image_sizes: NDArray[np.int64],
-    integrals: NDArray[np.int32],
+    part: Part, occupied: NDArray[np.bool_], lattice: Lattice, cameras: Cameras, integrals: NDArray[np.int32]
 ) -> None:
     """Clear the voxels whose footprint, wholly inside some image, holds background alone."""
     nx, ny, nz = occupied.shape
     for i in span(part, nx):
-        x = origin[0] + i * size
         for j in range(ny):
-            y = origin[1] + j * size
             for k in range(nz):
-                z = origin[2] + k * size
-                for view in range(projections.shape[0]):
-                    u0, u1, v0, v1, whole = footprint(
-                        projections[view], image_sizes[view, 0], image_sizes[view, 1], x, y, z, size
-                    )
+                corner = corner_of(lattice, i, j, k)
+                for view in range(integrals.shape[0]):
+                    u0, u1, v0, v1, whole = footprint(cameras, view, corner, lattice.voxel_size)
                     if whole and _box_sum(integrals[view], u0, u1, v0, v1) == 0:
                         occupied[i, j, k] = False
                         break
@@ -93,23 +79,18 @@ def carve_background(
 def free_pixels(
     part: Part,
     voxels: NDArray[np.int64],
-    origin: NDArray[np.float64],
-    size: float,
-    projections: NDArray[np.float64],
-    image_sizes: NDArray[np.int64],
+    lattice: Lattice,
+    cameras: Cameras,
     integrals: NDArray[np.int32],
     free: NDArray[np.bool_],
-    boxes: NDArray[np.int32],
-    counts: NDArray[np.int64],
-    in_frame: NDArray[np.bool_],
+    footprints: Footprints,
 ) -> None:
     """Footprint of every voxel (n, 3) in every view, its number of free pixels, and whether any foreground is in it."""
+    boxes, counts, in_frame = footprints
     for n in span(part, voxels.shape[0]):
-        x = origin[0] + voxels[n, 0] * size
-        y = origin[1] + voxels[n, 1] * size
-        z = origin[2] + voxels[n, 2] * size
-        for view in range(projections.shape[0]):
-            u0, u1, v0, v1, _ = footprint(projections[view], image_sizes[view, 0], image_sizes[view, 1], x, y, z, size)
+        corner = corner_of(lattice, voxels[n, 0], voxels[n, 1], voxels[n, 2])
+        for view in range(boxes.shape[1]):
+            u0, u1, v0, v1, _ = footprint(cameras, view, corner, lattice.voxel_size)
             boxes[n, view, 0] = u0
             boxes[n, view, 1] = u1
             boxes[n, view, 2] = v0
@@ -125,14 +106,10 @@ def free_pixels(
 
 @kernel(parallel=True)
 def gather(
-    part: Part,
-    boxes: NDArray[np.int32],
-    view_starts: NDArray[np.int64],
-    free: NDArray[np.bool_],
-    images: NDArray[np.uint8],
-    colors: NDArray[np.uint8],
+    part: Part, boxes: NDArray[np.int32], free: NDArray[np.bool_], images: NDArray[np.uint8], pixels: Pixels
 ) -> None:
     """Copy the free pixels of all footprints into one ragged array, voxel by voxel, view by view."""
+    colors, view_starts = pixels
     for n in span(part, boxes.shape[0]):
         for view in range(boxes.shape[1]):
             target = view_starts[n, view]

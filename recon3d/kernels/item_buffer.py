@@ -10,49 +10,44 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recon3d.kernels import Part, kernel, span
+from recon3d.kernels.types import Cameras, Lattice, Pixels, Ray
 
 
 @kernel(parallel=True)
 def enter_volume(
-    part: Part,
-    shape: NDArray[np.int64],
-    origin: NDArray[np.float64],
-    size: float,
-    centers: NDArray[np.float64],
-    world_from_pixel: NDArray[np.float64],
-    wanted: NDArray[np.bool_],
-    items: NDArray[np.int32],
+    part: Part, lattice: Lattice, cameras: Cameras, wanted: NDArray[np.bool_], items: NDArray[np.int32]
 ) -> None:
     """First voxel of every wanted pixel's ray in the volume, or -1; from a camera inside it, the camera's own."""
     n_views, height, width = items.shape
-    start, step, place = np.empty(3), np.empty(3), np.empty(3, np.int64)
+    ray = Ray(np.empty(3), np.empty(3), np.empty(3, np.int64))
+    place = ray.place
+    _, ny, nz = lattice.shape
     for line in span(part, n_views * height):
         view = line // height
         row = line % height
         for column in range(width):
             items[view, row, column] = -1
             if wanted[view, row, column]:
-                pixel_ray(origin, size, centers[view], world_from_pixel[view], column, row, start, step)
-                if enter_box(shape, start, step, place):
-                    items[view, row, column] = (place[0] * shape[1] + place[1]) * shape[2] + place[2]
+                start_ray(lattice, cameras, view, column, row, ray)
+                if enter_box(lattice.shape, ray):
+                    items[view, row, column] = (place[0] * ny + place[1]) * nz + place[2]
 
 
 @kernel(parallel=True)
 def advance(
     part: Part,
     occupied: NDArray[np.bool_],
-    origin: NDArray[np.float64],
-    size: float,
-    centers: NDArray[np.float64],
-    world_from_pixel: NDArray[np.float64],
+    lattice: Lattice,
+    cameras: Cameras,
     items: NDArray[np.int32],
     touched: NDArray[np.bool_],
 ) -> None:
     """Move every ray on to its first occupied voxel, and mark in touched (flat) the voxels that rays newly hit."""
     n_views, height, width = items.shape
-    shape = occupied.shape
+    _, ny, nz = lattice.shape
     flat = occupied.ravel()
-    start, step, place = np.empty(3), np.empty(3), np.empty(3, np.int64)
+    ray = Ray(np.empty(3), np.empty(3), np.empty(3, np.int64))
+    place = ray.place
     for line in span(part, n_views * height):
         view = line // height
         row = line % height
@@ -60,30 +55,33 @@ def advance(
             item = items[view, row, column]
             if item < 0 or flat[item]:
                 continue
-            place[0] = item // (shape[1] * shape[2])
-            place[1] = item // shape[2] % shape[1]
-            place[2] = item % shape[2]
-            pixel_ray(origin, size, centers[view], world_from_pixel[view], column, row, start, step)
-            item = _next_occupied(flat, shape, start, step, place)
+            place[0] = item // (ny * nz)
+            place[1] = item // nz % ny
+            place[2] = item % nz
+            start_ray(lattice, cameras, view, column, row, ray)
+            item = _next_occupied(flat, lattice.shape, ray)
             items[view, row, column] = item
             if item >= 0:
                 touched[item] = True
 
 
 @kernel()
-def pixel_ray(
-    origin: Any, size: float, center: Any, world_from_pixel: Any, u: int, v: int, start: Any, step: Any
-) -> None:
-    """Set where a pixel's ray starts, in voxels from the lattice's origin, and its direction."""
+def start_ray(lattice: Lattice, cameras: Cameras, view: int, u: int, v: int, ray: Ray) -> None:
+    """Set where a pixel's ray starts, and its direction."""
+    x, y, z = lattice.origin
+    size, center, M = lattice.voxel_size, cameras.centers[view], cameras.world_from_pixel[view]
+    start, step, _ = ray
+    start[0] = (center[0] - x) / size
+    start[1] = (center[1] - y) / size
+    start[2] = (center[2] - z) / size
     for axis in range(3):
-        start[axis] = (center[axis] - origin[axis]) / size
-        M = world_from_pixel[axis]
-        step[axis] = M[0] * u + M[1] * v + M[2]
+        step[axis] = M[axis, 0] * u + M[axis, 1] * v + M[axis, 2]
 
 
 @kernel()
-def enter_box(shape: Any, start: Any, step: Any, place: Any) -> bool:
+def enter_box(shape: Any, ray: Ray) -> bool:
     """Set the first voxel of a ray in the lattice, the start's own if that is inside; false where it misses."""
+    start, step, place = ray
     near = 0.0
     far = np.inf
     for axis in range(3):
@@ -104,8 +102,9 @@ def enter_box(shape: Any, start: Any, step: Any, place: Any) -> bool:
 
 
 @kernel()
-def next_voxel(shape: Any, start: Any, step: Any, place: Any) -> bool:
+def next_voxel(shape: Any, ray: Ray) -> bool:
     """Step across the voxel's first wall on the ray, of equal ones that of the lower axis; false beyond the lattice."""
+    start, step, place = ray
     axis = -1
     nearest = np.inf
     for a in range(3):
@@ -122,10 +121,11 @@ def next_voxel(shape: Any, start: Any, step: Any, place: Any) -> bool:
 
 
 @kernel()
-def _next_occupied(flat: Any, shape: Any, start: Any, step: Any, place: Any) -> int:
+def _next_occupied(flat: Any, shape: Any, ray: Ray) -> int:
     """Walk from an empty voxel along a ray to the next occupied one; -1 beyond the volume."""
+    place = ray.place
     while True:
-        if not next_voxel(shape, start, step, place):
+        if not next_voxel(shape, ray):
             return -1
         index = (place[0] * shape[1] + place[1]) * shape[2] + place[2]
         if flat[index]:
@@ -148,11 +148,11 @@ def collect_items(
     part: Part,
     items: NDArray[np.int32],
     rank: NDArray[np.int32],
-    view_starts: NDArray[np.int64],
     images: NDArray[np.uint8],
-    colors: NDArray[np.uint8],
+    pixels: Pixels,
 ) -> None:
     """Second pass of the counting sort: the colours of every ranked voxel's pixels, view by view."""
+    colors, view_starts = pixels
     for view in span(part, items.shape[0]):
         filled = view_starts[:, view].copy()
         for row in range(items.shape[1]):

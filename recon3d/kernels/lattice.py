@@ -1,9 +1,26 @@
-"""Neighbourhoods on the voxel lattice."""
+"""Places and neighbourhoods on the voxel lattice."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 from recon3d.kernels import kernel
+from recon3d.kernels.types import Lattice
+
+
+@kernel()
+def corner_of(lattice: Lattice, i: int, j: int, k: int) -> tuple[float, float, float]:
+    """Lowest corner of a voxel, world."""
+    x, y, z = lattice.origin
+    size = lattice.voxel_size
+    return x + i * size, y + j * size, z + k * size
+
+
+@kernel()
+def center_of(lattice: Lattice, i: int, j: int, k: int) -> tuple[float, float, float]:
+    """Centre of a voxel, world."""
+    x, y, z = lattice.origin
+    size = lattice.voxel_size
+    return x + (i + 0.5) * size, y + (j + 0.5) * size, z + (k + 0.5) * size
 
 
 @kernel()

@@ -7,28 +7,25 @@ from numpy.typing import NDArray
 
 from recon3d.kernels import Part, kernel, span
 from recon3d.kernels.footprints import footprint
+from recon3d.kernels.lattice import corner_of
+from recon3d.kernels.types import Cameras, Lattice, Observed
 
 
 @kernel(parallel=True)
 def observe(
     part: Part,
-    voxels: NDArray[np.int64],
-    origin: NDArray[np.float64],
-    size: float,
-    projections: NDArray[np.float64],
-    image_sizes: NDArray[np.int64],
+    lattice: Lattice,
+    cameras: Cameras,
     foreground: NDArray[np.bool_],
     images: NDArray[np.uint8],
-    colors: NDArray[np.uint8],
-    seen: NDArray[np.bool_],
+    observed: Observed,
 ) -> None:
-    """Mean foreground colour of every voxel's footprint (n, n_views, 3), and which views have one."""
+    """Mean foreground colour of every voxel's footprint, and which views have one."""
+    voxels, colors, seen = observed
     for n in span(part, voxels.shape[0]):
-        x = origin[0] + voxels[n, 0] * size
-        y = origin[1] + voxels[n, 1] * size
-        z = origin[2] + voxels[n, 2] * size
-        for view in range(projections.shape[0]):
-            u0, u1, v0, v1, _ = footprint(projections[view], image_sizes[view, 0], image_sizes[view, 1], x, y, z, size)
+        corner = corner_of(lattice, voxels[n, 0], voxels[n, 1], voxels[n, 2])
+        for view in range(images.shape[0]):
+            u0, u1, v0, v1, _ = footprint(cameras, view, corner, lattice.voxel_size)
             count = red = green = blue = 0
             for v in range(v0, v1 + 1):
                 for u in range(u0, u1 + 1):
@@ -45,8 +42,10 @@ def observe(
 
 
 @kernel()
-def walk(center: NDArray[np.float64], i: int, j: int, k: int, shape: Any, beyond: bool, path: NDArray[np.int64]) -> int:
-    """Fill path with the flat indices of the voxels on the ray from a centre through the middle of voxel (i, j, k).
+def walk(
+    center: NDArray[np.float64], voxel: NDArray[np.int64], shape: Any, beyond: bool, path: NDArray[np.int64]
+) -> int:
+    """Fill path with the flat indices of the voxels on the ray from a centre through the middle of a voxel (3,).
 
     In order, to that voxel or beyond it to the lattice's end; returns how many. The centre is in voxels from the
     lattice's origin; the walk begins at one inside the lattice. A path holds at most nx + ny + nz voxels.
@@ -55,6 +54,7 @@ def walk(center: NDArray[np.float64], i: int, j: int, k: int, shape: Any, beyond
     """
     # An array, not a generator: those fail in a caller that is compiled after they were loaded from the cache.
     nx, ny, nz = shape
+    i, j, k = voxel[0], voxel[1], voxel[2]
     dx, dy, dz = i + 0.5 - center[0], j + 0.5 - center[1], k + 0.5 - center[2]
     begin, end = 0.0, np.inf
     for length, start, step in ((nx, center[0], dx), (ny, center[1], dy), (nz, center[2], dz)):

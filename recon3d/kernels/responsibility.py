@@ -1,32 +1,40 @@
 """Which voxels on a pixel's ray are responsible for its colour."""
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from recon3d.kernels import Part, kernel, span
 from recon3d.kernels.rays import walk
+from recon3d.kernels.types import Observed
 
 _OPAQUE = 1e-4  # what is seen with less than this is not seen
+
+
+class Matter(NamedTuple):
+    """How opaque voxels are, and their colours; one row a voxel, or on the lattice."""
+
+    opacity: NDArray[np.float32]
+    """(n,) or (nx, ny, nz) in [0, 1]."""
+    colors: NDArray[np.float32]
+    """(n, 3) or (nx, ny, nz, 3) RGB, grey levels."""
 
 
 @kernel(parallel=True)
 def respond(
     part: Part,
-    voxels: NDArray[np.int64],
+    observed: Observed,
     centers: NDArray[np.float64],
-    observed: NDArray[np.uint8],
-    seen: NDArray[np.bool_],
-    opacity: NDArray[np.float32],
-    colors: NDArray[np.float32],
+    matter: Matter,
     sigma: float,
     unexplained: float,
-    new_opacity: NDArray[np.float32],
-    new_colors: NDArray[np.float32],
+    new: Matter,
     visible: NDArray[np.float32],
 ) -> None:
-    """New opacity (n,) and colour (n, 3) of every voxel, and the light that reaches it in each view (n, n_views)."""
+    """New opacity and colour of every voxel (n,), and the light that reaches it in each view (n, n_views)."""
+    voxels, shown, seen = observed
+    opacity, colors = matter
     path = np.empty(sum(opacity.shape), np.int64)
     for n in span(part, voxels.shape[0]):
         i, j, k = voxels[n, 0], voxels[n, 1], voxels[n, 2]
@@ -35,29 +43,28 @@ def respond(
             visible[n, view] = 0.0
             if not seen[n, view]:
                 continue
-            length = walk(centers[view], i, j, k, opacity.shape, True, path)
+            length = walk(centers[view], voxels[n], opacity.shape, True, path)
             own, onward, visible[n, view] = _shares(
-                opacity, colors, path[:length], voxels[n], observed[n, view], sigma, unexplained
+                matter, path[:length], voxels[n], shown[n, view], sigma, unexplained
             )
             total += own
             reaching += onward
-            red += own * observed[n, view, 0]
-            green += own * observed[n, view, 1]
-            blue += own * observed[n, view, 2]
+            red += own * shown[n, view, 0]
+            green += own * shown[n, view, 1]
+            blue += own * shown[n, view, 2]
         # Without a responsibility to speak of nothing is learned.
-        new_opacity[n] = total / reaching if reaching > _OPAQUE else opacity[i, j, k]
+        new.opacity[n] = total / reaching if reaching > _OPAQUE else opacity[i, j, k]
         if total > _OPAQUE:
-            new_colors[n, 0] = red / total
-            new_colors[n, 1] = green / total
-            new_colors[n, 2] = blue / total
+            new.colors[n, 0] = red / total
+            new.colors[n, 1] = green / total
+            new.colors[n, 2] = blue / total
         else:
-            new_colors[n] = colors[i, j, k]
+            new.colors[n] = colors[i, j, k]
 
 
 @kernel()
 def _shares(
-    opacity: NDArray[np.float32],
-    colors: NDArray[np.float32],
+    matter: Matter,
     path: NDArray[np.int64],
     voxel: NDArray[np.int64],
     observed: NDArray[np.uint8],
@@ -65,6 +72,7 @@ def _shares(
     unexplained: float,
 ) -> Any:
     """Probabilities that a ray's colour comes from a voxel on it, and from it or behind; and the light left there."""
+    opacity, colors = matter
     target = (voxel[0] * opacity.shape[1] + voxel[1]) * opacity.shape[2] + voxel[2]
     alphas, paint = opacity.reshape(-1), colors.reshape(-1, 3)
     through = 1.0

@@ -5,6 +5,7 @@ from numpy.typing import NDArray
 
 from recon3d.kernels import Part, kernel, span
 from recon3d.kernels.cameras import bilinear, project
+from recon3d.kernels.types import Cameras
 
 
 @kernel(parallel=True)
@@ -12,12 +13,11 @@ def facing_views(
     part: Part,
     points: NDArray[np.float64],
     normals: NDArray[np.float64],
-    projections: NDArray[np.float64],
-    centers: NDArray[np.float64],
-    sizes: NDArray[np.int64],
+    cameras: Cameras,
     facing: NDArray[np.bool_],
 ) -> None:
     """Whether points (n, 3) lie in front of a camera, inside its image, and their normals towards it (n_views, n)."""
+    projections, centers, sizes = cameras.projections, cameras.centers, cameras.sizes
     for n in span(part, len(points)):
         for view in range(len(centers)):
             u, v, depth = project(projections[view], points[n, 0], points[n, 1], points[n, 2])
@@ -34,10 +34,7 @@ def agreed_colors(
     points: NDArray[np.float64],
     normals: NDArray[np.float64],
     seen: NDArray[np.bool_],
-    projections: NDArray[np.float64],
-    centers: NDArray[np.float64],
-    focals: NDArray[np.float64],
-    sizes: NDArray[np.int64],
+    cameras: Cameras,
     images: NDArray[np.uint8],
     trust: NDArray[np.float32],
     colors: NDArray[np.float64],
@@ -47,6 +44,7 @@ def agreed_colors(
     A pixel weighs trust (n_views, height, width) times cosine to the normal over footprint squared: how many pixels an
     area gets. Points that no pixel with any trust shows keep their colour.
     """
+    projections, centers, sizes = cameras.projections, cameras.centers, cameras.sizes
     n_points, n_views = len(points), len(images)
     values = np.empty((3, n_views), np.float64)
     weights = np.empty(n_views, np.float64)
@@ -65,7 +63,7 @@ def agreed_colors(
                 sight = centers[view, axis] - points[n, axis]
                 along += sight * normals[n, axis]
                 square += sight * sight
-            weights[count] = trusted * along / np.sqrt(square) * (focals[view] / depth) ** 2
+            weights[count] = trusted * along / np.sqrt(square) * (cameras.focals[view] / depth) ** 2
             for channel in range(3):
                 values[channel, count] = bilinear(images[view, :, :, channel], u, v, sizes[view, 0], sizes[view, 1])
             count += 1

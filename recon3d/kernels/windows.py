@@ -5,6 +5,7 @@ from numpy.typing import NDArray
 
 from recon3d.kernels import Part, kernel, span
 from recon3d.kernels.cameras import luminance, project
+from recon3d.kernels.types import Cameras
 
 
 @kernel(parallel=True)
@@ -13,20 +14,17 @@ def sample_windows(
     centers: NDArray[np.float64],
     voxel_size: float,
     counts: NDArray[np.int64],
-    cameras: NDArray[np.float64],
-    projections: NDArray[np.float64],
-    focals: NDArray[np.float64],
-    sizes: NDArray[np.int64],
+    cameras: Cameras,
     images: NDArray[np.uint8],
-    side: int,
     windows: NDArray[np.float32],
 ) -> None:
-    """Luminance of every view at side x side points of a plane through each centre (n, 3); NaN: does not see it.
+    """Luminance (n, n_views, side, side) of points of a plane through each centre (n, 3); NaN: the view sees it not.
 
     The plane faces the mean direction of the views with counts (n, n_views) above 0. Its points lie one mean pixel
     footprint apart, or farther, so that they span the voxel.
     """
-    n_views = counts.shape[1]
+    n_views, side = counts.shape[1], windows.shape[2]
+    projections, sizes = cameras.projections, cameras.sizes
     half = 0.5 * (side - 1)
     for n in span(part, centers.shape[0]):
         windows[n] = np.nan
@@ -35,10 +33,10 @@ def sample_windows(
         seeing = 0
         for view in range(n_views):
             if counts[n, view] > 0:
-                toward = cameras[view] - centers[n]
+                toward = cameras.centers[view] - centers[n]
                 distance = np.sqrt(np.sum(toward * toward))
                 normal += toward / distance
-                spacing += distance / focals[view]
+                spacing += distance / cameras.focals[view]
                 seeing += 1
         if seeing == 0:
             continue
@@ -76,4 +74,4 @@ def sample_windows(
                     du, dv = corner & 1, corner >> 1
                     grey = luminance(images[view, v0 + dv, u0 + du])
                     value += (abs(1 - du - (u - u0))) * (abs(1 - dv - (v - v0))) * grey
-                windows[n, view, sample] = value
+                windows[n, view, sample // side, sample % side] = value

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from recon3d.kernels.types import Cameras
 from recon3d.scene.view import View
 
 
@@ -25,16 +26,7 @@ class PackedViews:
     """(n_views, height, width) pixels that may show the object; all of a view without silhouette."""
     integrals: NDArray[np.int32]
     """(n_views, height + 1, width + 1) summed-area tables of the foreground."""
-    sizes: NDArray[np.int64]
-    """(n_views, 2) width and height, pixels."""
-    projections: NDArray[np.float64]
-    """(n_views, 3, 4) P = K [R | t]."""
-    centers: NDArray[np.float64]
-    """(n_views, 3) camera centres, world."""
-    world_from_pixel: NDArray[np.float64]
-    """(n_views, 3, 3) R^T K^-1: from homogeneous pixels to ray directions of depth one, world."""
-    focals: NDArray[np.float64]
-    """(n_views,) focal lengths, pixels."""
+    cameras: Cameras
 
     def __init__(self, views: Sequence[View], scale: float = 1.0) -> None:
         cameras = [view.calibration.at(scale) for view in views]
@@ -51,16 +43,18 @@ class PackedViews:
         with ThreadPoolExecutor(cpu_count()) as pool:  # decoding and OpenCV release the interpreter lock
             list(pool.map(fill, range(len(views))))
         self.integrals = np.stack([cv2.integral(mask.view(np.uint8)) for mask in self.foreground])
-        self.sizes = np.array([(camera.width, camera.height) for camera in cameras])
-        self.projections = np.stack([camera.K @ camera.cam_from_world[:3] for camera in cameras])
-        self.centers = np.stack([view.center for view in views])
-        self.world_from_pixel = np.stack(
-            [camera.cam_from_world[:3, :3].T @ np.linalg.inv(camera.K) for camera in cameras]
+        self.cameras = Cameras(
+            projections=np.stack([camera.K @ camera.cam_from_world[:3] for camera in cameras]),
+            world_from_pixel=np.stack(
+                [camera.cam_from_world[:3, :3].T @ np.linalg.inv(camera.K) for camera in cameras]
+            ),
+            centers=np.stack([view.center for view in views]),
+            focals=np.array([np.sqrt(abs(np.linalg.det(camera.K[:2, :2]))) for camera in cameras]),
+            sizes=np.array([(camera.width, camera.height) for camera in cameras]),
         )
-        self.focals = np.array([np.sqrt(abs(np.linalg.det(camera.K[:2, :2]))) for camera in cameras])
-        for array in vars(self).values():
+        for array in (self.images, self.foreground, self.integrals, *self.cameras):
             array.setflags(write=False)
 
     def __len__(self) -> int:
         """Number of views."""
-        return len(self.sizes)
+        return len(self.images)

@@ -58,6 +58,7 @@ def fuse(scene: Scene, depth_maps: Sequence[DepthMap], matching: Matching) -> Fu
     if len(depth_maps) != len(scene.views):
         raise ArgumentError(f"expected a depth map of each of {len(scene.views)} views, got {len(depth_maps)}")
     views, asked = scene.packed, overlapping_neighbours(scene)
+    cameras = scene.packed.cameras
     planes = np.stack([depth_map.planes for depth_map in depth_maps])
     costs = np.stack([depth_map.costs for depth_map in depth_maps])
     normals = plane_normals(scene, planes, matching.stride)
@@ -67,9 +68,9 @@ def fuse(scene: Scene, depth_maps: Sequence[DepthMap], matching: Matching) -> Fu
         support = np.zeros(costs.shape)
         agreeing, contradicting = np.zeros((2, *costs.shape), np.int64)
         average_planes(
-            views.projections, views.centers, views.world_from_pixel, views.images, views.sizes, planes, normals,
-            weights, asked, matching.stride, _TOLERANCE * scene.pixel_footprint, float(np.cos(np.radians(_MAX_ANGLE))),
-            points, means, colors, support, agreeing, contradicting,
+            cameras.projections, cameras.centers, cameras.world_from_pixel, views.images, cameras.sizes, planes,
+            normals, weights, asked, matching.stride, _TOLERANCE * scene.pixel_footprint,
+            float(np.cos(np.radians(_MAX_ANGLE))), points, means, colors, support, agreeing, contradicting,
         )  # fmt: skip
         weights = np.where(agreeing > 0, weights, np.float32(0))
     weights = np.where(contradicting <= _CONTRADICTION * agreeing, weights, np.float32(0))

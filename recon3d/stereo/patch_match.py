@@ -111,6 +111,7 @@ class GuidedView:
 def guide_views(scene: Scene, surface: o3d.geometry.TriangleMesh, stride: int) -> list[GuidedView]:
     """Every view of a scene with what it sees of a carved surface, whose normals are taken of strided pixels."""
     views, renderer = scene.packed, Renderer(surface)
+    cameras = scene.packed.cameras
     guided = []
     for n, view in enumerate(scene.views):
         depth = np.zeros(views.foreground.shape[1:], np.float32)
@@ -121,8 +122,8 @@ def guide_views(scene: Scene, surface: o3d.geometry.TriangleMesh, stride: int) -
         normals[: strided.shape[0], : strided.shape[1]] = strided
         luminance = cv2.cvtColor(views.images[n], cv2.COLOR_RGB2GRAY).astype(np.float32)
         guided.append(
-            GuidedView(luminance, views.sizes[n], views.projections[n], views.centers[n], views.world_from_pixel[n],
-                       depth, normals)
+            GuidedView(luminance, cameras.sizes[n], cameras.projections[n], cameras.centers[n],
+                       cameras.world_from_pixel[n], depth, normals)
         )  # fmt: skip
     return guided
 

@@ -75,10 +75,8 @@ def color(
         )
     views = scene.packed
     colors = np.full((len(points), 3), np.nan)
-    agreed_colors(
-        points, normals, visibility.seen, views.projections, views.centers, views.focals, views.sizes, views.images,
-        _trust(caster, scene, views), colors,
-    )  # fmt: skip
+    trust = _trust(caster, scene, views)
+    agreed_colors(points, normals, visibility.seen, views.cameras, views.images, trust, colors)
     known = np.isfinite(colors[:, 0])
     if not known.any():
         raise EmptyReconstructionError(f"scene {scene.name}: no view shows any of the surface, so it has no colours")
@@ -100,7 +98,7 @@ def _trust(caster: RayCaster, scene: Scene, views: PackedViews) -> NDArray[np.fl
         bend = np.zeros_like(inverse)
         bend[:, 1:-1] = np.abs(np.diff(inverse, 2, axis=1))
         bend[1:-1] = np.maximum(bend[1:-1], np.abs(np.diff(inverse, 2, axis=0)))
-        edge = bend > _JUMP / views.focals[n] * cv2.dilate(inverse, window)
+        edge = bend > _JUMP / views.cameras.focals[n] * cv2.dilate(inverse, window)
         background = ~views.foreground[n, : view.height, : view.width]
         beside, mixed = (cv2.dilate(mask.astype(np.uint8), window) > 0 for mask in (edge, background))
         trust[n, : view.height, : view.width] = np.where(mixed, 0.0, np.where(beside, _EDGE_WEIGHT, 1.0))

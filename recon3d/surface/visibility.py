@@ -40,8 +40,8 @@ class VertexVisibility:
         ends = vertices + _CLEARANCE * scene.pixel_footprint * normals
         views = scene.packed
         seen = np.empty((len(views), len(vertices)), np.bool_)
-        facing_views(vertices, normals, views.projections, views.centers, views.sizes, seen)
-        for row, center in zip(seen, views.centers, strict=True):
+        facing_views(vertices, normals, views.cameras, seen)
+        for row, center in zip(seen, views.cameras.centers, strict=True):
             row[row] = ~caster.hidden(center, ends[row])
         return cls(seen)
 

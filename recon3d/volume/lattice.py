@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from recon3d.checks import require_number, require_whole
 from recon3d.errors import ArgumentError, VolumeTooLargeError
+from recon3d.kernels import types
 from recon3d.scene.bounds import Bounds
 from recon3d.values import ByContent
 
@@ -67,6 +68,12 @@ class Lattice(ByContent):
         """Of the whole lattice."""
         nx, ny, nz = self.shape
         return nx * ny * nz
+
+    @property
+    def packed(self) -> types.Lattice:
+        """As kernels read it."""
+        x, y, z = (float(value) for value in self.origin)
+        return types.Lattice((x, y, z), float(self.voxel_size), self.shape)
 
     @property
     def bounds(self) -> Bounds:

@@ -11,7 +11,7 @@ import open3d as o3d
 from numpy.typing import ArrayLike, NDArray
 
 from recon3d.errors import ArgumentError, EmptyReconstructionError
-from recon3d.kernels.bricks import BRICK, SOLID, copy_box, exposed_bricks, surface_voxels
+from recon3d.kernels.bricks import BRICK, SOLID, StoredBricks, copy_box, exposed_bricks, surface_voxels
 from recon3d.scene.bounds import Bounds
 from recon3d.summary import Summarised, thumbnails
 from recon3d.values import ByContent
@@ -126,7 +126,7 @@ class SparseVolume(ByContent, Summarised):
     def surface(self) -> NDArray[np.bool_]:
         """(n_stored, 8, 8, 8) occupied voxels with an empty face neighbour; beyond the lattice is empty."""
         surface = np.zeros_like(self.occupied)
-        surface_voxels(self.slots, self.bricks, self.occupied, surface)
+        surface_voxels(StoredBricks(self.slots, self.bricks, self.occupied), surface)
         return surface
 
     def voxels(self, mask: NDArray[np.bool_] | None = None) -> NDArray[np.int64]:

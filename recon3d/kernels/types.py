@@ -1,0 +1,103 @@
+"""What travels together through kernels.
+
+Kernels are compiled for each combination of their arguments' types, to which an array's layout, and whether it can be
+written to, belong. Names of arrays' extents: n_views, height and width of the packed images.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+class Lattice(NamedTuple):
+    """Where voxels lie: (i, j, k) spans ``origin + voxel_size * (i, j, k)`` to the same of (i + 1, j + 1, k + 1)."""
+
+    origin: tuple[float, float, float]
+    """Lowest corner of voxel (0, 0, 0), world units."""
+    voxel_size: float
+    """Edge length, world units."""
+    shape: tuple[int, int, int]
+    """(nx, ny, nz)."""
+
+
+class Camera(NamedTuple):
+    """One view's camera; pixels have integer centres."""
+
+    projection: NDArray[np.float64]
+    """(3, 4) P = K [R | t]."""
+    world_from_pixel: NDArray[np.float64]
+    """(3, 3) R^T K^-1: from homogeneous pixels to ray directions of depth one, world."""
+    center: NDArray[np.float64]
+    """(3,) world."""
+    focal: float
+    """Focal length, pixels."""
+    size: NDArray[np.int64]
+    """(2,) width and height, pixels."""
+
+
+class Cameras(NamedTuple):
+    """All views' cameras, each field a ``Camera``'s."""
+
+    projections: NDArray[np.float64]
+    """(n_views, 3, 4)."""
+    world_from_pixel: NDArray[np.float64]
+    """(n_views, 3, 3)."""
+    centers: NDArray[np.float64]
+    """(n_views, 3) world."""
+    focals: NDArray[np.float64]
+    """(n_views,) pixels."""
+    sizes: NDArray[np.int64]
+    """(n_views, 2) width and height, pixels."""
+
+    @classmethod
+    def of(cls, cameras: Sequence[Camera]) -> Self:
+        """Those of several views."""
+        return cls(*map(np.stack, zip(*cameras, strict=True)))
+
+    def at(self, view: int) -> Camera:
+        """That of one view."""
+        return Camera(*(field[view] for field in self))
+
+
+class Footprints(NamedTuple):
+    """Where voxels lie in the views, and what of that is of use."""
+
+    boxes: NDArray[np.int32]
+    """(n, n_views, 4) first and last column u, first and last row v; a last one before its first: not seen."""
+    counts: NDArray[np.int64]
+    """(n, n_views) pixels of a box that show the voxel."""
+    in_frame: NDArray[np.bool_]
+    """(n,) whether foreground of any view lies in the voxel's boxes."""
+
+
+class Pixels(NamedTuple):
+    """A ragged array: view j of voxel n owns the pixels ``view_starts[n, j]`` to ``view_starts[n, j + 1]``."""
+
+    colors: NDArray[np.uint8]
+    """(n_pixels, 3) RGB."""
+    view_starts: NDArray[np.int64]
+    """(n, n_views + 1)."""
+
+
+class Observed(NamedTuple):
+    """Voxels, and the mean colour that each view shows of each."""
+
+    voxels: NDArray[np.int64]
+    """(n, 3) indices."""
+    colors: NDArray[np.uint8]
+    """(n, n_views, 3) RGB."""
+    seen: NDArray[np.bool_]
+    """(n, n_views) whether the view shows any foreground there."""
+
+
+class Ray(NamedTuple):
+    """A ray on its way through a lattice, in voxels from the lattice's origin."""
+
+    start: NDArray[np.float64]
+    """(3,)."""
+    step: NDArray[np.float64]
+    """(3,) direction, of any length."""
+    place: NDArray[np.int64]
+    """(3,) voxel that the ray is in."""
