@@ -39,6 +39,8 @@ class Calibrated:
     """Why there are none, where the format has a place for them."""
     points: NDArray[np.float64] | None = field(default=None, repr=False, compare=False)
     """(n, 3) points of what the photographs show, world; a box is found from them where there are no bounds."""
+    left_handed: bool = False
+    """Whether the files' world, that of bounds, points and a README, is left-handed; the cameras are of its mirror."""
     mm_per_unit: float = 1000.0
     """Millimetres in a world unit, where the user does not say."""
     masked: frozenset[str] | None = None

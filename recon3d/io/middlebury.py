@@ -1,7 +1,7 @@
 """Middlebury multi-view sets: ``*_par.txt``, photographs and a README that holds the bounding box.
 
 The files' conventions are recon3d's own: P = K [R | t], x right, y down, pixel centres at integers; the world is in
-metres, and every set has its own world frame.
+metres, and every set has its own world frame. A README that recon3d writes beside a scene of any format says the unit.
 """
 
 from __future__ import annotations
@@ -10,10 +10,12 @@ import re
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from recon3d.errors import DataError
 from recon3d.io.calibrated import Calibrated, CalibratedImage
 from recon3d.io.files import write_image, write_text
+from recon3d.io.handedness import right_handed
 from recon3d.scene.bounds import Bounds
 from recon3d.scene.camera import Camera
 from recon3d.scene.names import file_stems
@@ -41,7 +43,7 @@ def read_middlebury(folder: Path) -> Calibrated:
     ------
     DataError : a file is missing or malformed; names file and line.
     """
-    images = _read_images(_only_file(folder, "*_par.txt"))
+    images, left_handed = _read_images(_only_file(folder, "*_par.txt"))
     box, no_box = None, ""
     try:
         box = read_padded_bounds(folder)
@@ -52,6 +54,7 @@ def read_middlebury(folder: Path) -> Calibrated:
         images,
         bounds=box,
         no_bounds=no_box,
+        left_handed=left_handed,
         masked=_good_silhouettes(folder, {image.name for image in images}),
         notes={"format": "Middlebury"},
     )
@@ -69,17 +72,32 @@ def write_middlebury(scene: Scene, folder: Path | str) -> Path:
         silhouette = view.silhouette
         if silhouette is not None:
             write_image(folder / SILHOUETTE_FOLDER / name, silhouette)
-    tight = scene.bounds.padded(-PADDING / (1 + 2 * PADDING) * scene.bounds.longest)
-    low, high = (" ".join(map(repr, corner)) for corner in (tight.low, tight.high))
-    write_text(
-        folder / "README.txt",
-        f"{scene.name}: {len(scene.views)} views\n\nThe (tight) bounding box is\n({low})\n({high})\n",
-    )
+    write_readme(scene, folder)
     write_text(folder / f"{scene.name}_par.txt", "\n".join(lines) + "\n")
     good = [name for view, name in zip(scene.views, names, strict=True) if view.has_silhouette]
     if 0 < len(good) < len(names):
         write_text(folder / f"{scene.name}_good_silhouette_images.txt", "\n".join(good) + "\n")
     return folder
+
+
+def write_readme(scene: Scene, folder: Path) -> Path:
+    """Write bounds and unit of a scene as the README of a set; returns the file."""
+    tight = scene.bounds.padded(-PADDING / (1 + 2 * PADDING) * scene.bounds.longest)
+    low, high = (" ".join(map(repr, corner)) for corner in (tight.low, tight.high))
+    return write_text(
+        folder / "README.txt",
+        f"{scene.name}: {len(scene.views)} views\n\nThe (tight) bounding box is\n({low})\n({high})\n\n"
+        f"A world unit is {scene.mm_per_unit!r} mm.\n",
+    )
+
+
+def read_unit(folder: Path) -> float | None:
+    """Millimetres in a world unit, where the README of a scene that recon3d wrote says them."""
+    try:
+        found = re.search(rf"A world unit is ({_NUMBER}) mm\b", _readme(folder).read_text(errors="replace"))
+    except DataError:
+        return None
+    return float(found[1]) if found and 0 < float(found[1]) < np.inf else None
 
 
 def read_bounds(folder: Path | str) -> Bounds:
@@ -89,13 +107,10 @@ def read_bounds(folder: Path | str) -> Bounds:
     ------
     DataError : there is no README, or no box in it.
     """
-    folder = Path(folder)
-    readmes = sorted(path for path in folder.iterdir() if path.name.lower() in ("readme.txt", "readme"))
-    if not readmes:
-        raise DataError(f"{folder}: expected a README.txt with the bounding box; give bounds instead")
-    found = re.search(rf"{_CORNER}\s*{_CORNER}", readmes[0].read_text(errors="replace"))
+    readme = _readme(folder)
+    found = re.search(rf"{_CORNER}\s*{_CORNER}", readme.read_text(errors="replace"))
     if not found:
-        raise DataError(f"{readmes[0]}: expected a bounding box '(x y z) (x y z)'; give bounds instead")
+        raise DataError(f"{readme}: expected a bounding box '(x y z) (x y z)'; give bounds instead")
     numbers = [float(number) for number in found.groups()]
     return Bounds(numbers[:3], numbers[3:])
 
@@ -122,6 +137,13 @@ def read_angles(folder: Path | str) -> dict[str, tuple[float, float]]:
     return angles
 
 
+def _readme(folder: Path | str) -> Path:
+    readmes = sorted(path for path in Path(folder).iterdir() if path.name.lower() in ("readme.txt", "readme"))
+    if not readmes:
+        raise DataError(f"{folder}: expected a README.txt with the bounding box; give bounds instead")
+    return readmes[0]
+
+
 def _only_file(folder: Path, pattern: str) -> Path:
     found = sorted(folder.glob(pattern)) if folder.is_dir() else []
     if len(found) != 1:
@@ -134,8 +156,8 @@ def _lines(file: Path) -> list[str]:
     return file.read_text(encoding="utf-8", errors="replace").splitlines()
 
 
-def _read_images(par_file: Path) -> tuple[CalibratedImage, ...]:
-    """Images of a par file, with or without its count line."""
+def _read_images(par_file: Path) -> tuple[tuple[CalibratedImage, ...], bool]:
+    """Images of a par file, with or without its count line, and whether its world is left-handed."""
     lines = [(n, line.split()) for n, line in enumerate(_lines(par_file), start=1) if line.strip()]
     expected = None
     if lines and len(lines[0][1]) == 1 and lines[0][1][0].isdigit():
@@ -144,7 +166,7 @@ def _read_images(par_file: Path) -> tuple[CalibratedImage, ...]:
         raise DataError(f"{par_file}:1: the count line says {expected} views, the file has {len(lines)}")
     if not lines:
         raise DataError(f"{par_file}: expected at least one view")
-    images: list[CalibratedImage] = []
+    matrices = {}
     for number, fields in lines:
         where = f"{par_file}:{number}"
         if len(fields) != 22:
@@ -152,8 +174,15 @@ def _read_images(par_file: Path) -> tuple[CalibratedImage, ...]:
         name, path = fields[0], par_file.parent / fields[0]
         if not path.is_file():
             raise DataError(f"{where}: image {path} is missing")
-        photograph = Photograph(path)
-        camera = _camera(fields[1:], photograph.size, where)
+        matrices[where] = _matrices(fields[1:], where)
+    poses, left_handed = right_handed({where: pose for where, (_, pose) in matrices.items()})
+    images: list[CalibratedImage] = []
+    for (where, (K, _)), (_, fields) in zip(matrices.items(), lines, strict=True):
+        name, photograph = fields[0], Photograph(par_file.parent / fields[0])
+        try:
+            camera = Camera(K, poses[where], *photograph.size)
+        except ValueError as error:
+            raise DataError(f"{where}: {error}") from None
         first = images[0] if images else None
         if first and (camera.width, camera.height) != (first.camera.width, first.camera.height):
             raise DataError(
@@ -161,11 +190,11 @@ def _read_images(par_file: Path) -> tuple[CalibratedImage, ...]:
                 f"{first.name}, got {camera.width}x{camera.height}"
             )
         images.append(CalibratedImage(name, photograph, camera))
-    return tuple(images)
+    return tuple(images), left_handed
 
 
-def _camera(fields: list[str], size: tuple[int, int], where: str) -> Camera:
-    """Camera of K, R and t, in 21 fields."""
+def _matrices(fields: list[str], where: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(3, 3) K and (3, 4) [R | t] of 21 fields."""
     numbers = []
     for field in fields:
         try:
@@ -173,10 +202,7 @@ def _camera(fields: list[str], size: tuple[int, int], where: str) -> Camera:
         except ValueError:
             raise DataError(f"{where}: expected a number, got {field!r}") from None
     K, R, t = np.split(np.array(numbers), [9, 18])
-    try:
-        return Camera(K.reshape(3, 3), np.column_stack([R.reshape(3, 3), t]), *size)
-    except ValueError as error:
-        raise DataError(f"{where}: {error}") from None
+    return K.reshape(3, 3), np.column_stack([R.reshape(3, 3), t])
 
 
 def _good_silhouettes(folder: Path, names: set[str]) -> frozenset[str] | None:

@@ -12,15 +12,22 @@ import numpy as np
 import open3d as o3d
 
 from recon3d.errors import DataError, SceneError
+from recon3d.io.alicevision import is_alicevision, read_alicevision
+from recon3d.io.bouguet import is_bouguet, read_bouguet
+from recon3d.io.bundler import is_bundler, read_bundler
 from recon3d.io.calibrated import Calibrated
 from recon3d.io.colmap import is_colmap, read_colmap
+from recon3d.io.handedness import MIRROR, mirrored
+from recon3d.io.matrices import is_matrices, read_matrices
 from recon3d.io.metashape import is_metashape, read_metashape
-from recon3d.io.middlebury import is_middlebury, read_middlebury, read_padded_bounds
+from recon3d.io.middlebury import is_middlebury, read_middlebury, read_padded_bounds, read_unit
 from recon3d.io.mvsnet import is_mvsnet, read_mvsnet
 from recon3d.io.neus import is_neus, read_neus
 from recon3d.io.open3d_cameras import is_open3d, read_open3d
 from recon3d.io.opencv_storage import is_opencv_storage, read_opencv_storage
+from recon3d.io.openmvg import is_openmvg, read_openmvg
 from recon3d.io.reading import image_files
+from recon3d.io.strecha import is_strecha, read_strecha
 from recon3d.io.transforms import is_transforms, read_transforms
 from recon3d.io.unknown import told_unknown
 from recon3d.scene.bounds import Bounds
@@ -57,6 +64,12 @@ FORMATS: dict[str, Format] = {
     "metashape": Format(is_metashape, read_metashape, "cameras.xml (Metashape)"),
     "open3d": Format(is_open3d, read_open3d, "a PinholeCameraTrajectory (Open3D)"),
     "opencv": Format(is_opencv_storage, read_opencv_storage, "K, rvec and tvec as YAML or XML (OpenCV)"),
+    "openmvg": Format(is_openmvg, read_openmvg, "sfm_data.json (OpenMVG)"),
+    "alicevision": Format(is_alicevision, read_alicevision, "cameras.sfm or sfm.json (AliceVision, Meshroom)"),
+    "strecha": Format(is_strecha, read_strecha, "*.camera (Strecha)"),
+    "bouguet": Format(is_bouguet, read_bouguet, "Calib_Results.m (Bouguet)"),
+    "matrices": Format(is_matrices, read_matrices, "3x4 projection matrices, .txt, .npy or .mat (PMVS, VGG)"),
+    "bundler": Format(is_bundler, read_bundler, "bundle.out (Bundler)"),
 }
 
 _MADE = {
@@ -89,7 +102,8 @@ def open_scene(
         ``silhouettes``, or the photographs' own opacity), else "segmented"; "segmented" or "threshold": made
         from a dark background, by GrabCut or by the recipe of dinoSparseRing's README, of all views or of those that
         the scene says have good ones; "none"; or a folder of masks.
-    mm_per_unit : millimetres in one world unit; what the format says, or 1000 (metres), when None.
+    mm_per_unit : millimetres in one world unit; what the README of ``write_scene`` or the format says, or 1000
+        (metres), when None.
 
     Raises
     ------
@@ -102,19 +116,21 @@ def open_scene(
     known = next((known for known in FORMATS.values() if known.recognises(path)), None)
     if known is None:
         raise DataError(told_unknown(path, [known.sign for known in FORMATS.values()]))
-    found = known.read(path)
+    found = _right_handed(known.read(path), path)
     named = str(silhouettes) not in (*_MADE, "none")
     views = tuple(View(image.camera, image.photograph, None, image.name) for image in found.images)
     masks, told_masks = _own_masks(found, views, path) if silhouettes == "auto" else ({}, {})
     views = tuple(replace(view, mask=masks.get(view.name)) for view in views)
-    box, told_box = (Bounds.of(bounds), {}) if bounds is not None else _own_bounds(found, views, path)
+    readme, unit = _told_in_readme(found, views, path)
+    box, told_box = (Bounds.of(bounds), {}) if bounds is not None else _own_bounds(found, views, readme)
     scene = Scene(
         views,
         box,
         found.name,
-        found.mm_per_unit if mm_per_unit is None else mm_per_unit,
+        next(mm for mm in (mm_per_unit, unit, found.mm_per_unit) if mm is not None),
         {
             **found.notes,
+            **({} if unit is None else {"unit": "that of the README"}),
             **told_masks,
             **told_box,
             "source": str(path.resolve()),
@@ -131,6 +147,23 @@ def open_scene(
         return with_segmented_silhouettes(scene, only=found.masked) if dark else scene
     _check_foreground(scene, must_fit=bounds is None and not told_box)
     return _MADE[str(silhouettes)](scene, only=found.masked)
+
+
+def _right_handed(found: Calibrated, path: Path) -> Calibrated:
+    """The same with bounds and points in the world of the cameras; says where it is the mirror image of the files'."""
+    if not found.left_handed:
+        return found
+    warnings.warn(
+        f"{path}: the world of these cameras is left-handed: it is mirrored, z is turned over. Bounds that you give "
+        "are those of the mirrored world",
+        stacklevel=3,
+    )
+    return replace(
+        found,
+        bounds=None if found.bounds is None else mirrored(found.bounds),
+        points=None if found.points is None else found.points @ MIRROR[:3, :3],
+        notes={**found.notes, "world": "left-handed in the files, mirrored: z is turned over"},
+    )
 
 
 def _own_masks(found: Calibrated, views: tuple[View, ...], path: Path) -> tuple[Mapping[str, Mask], dict[str, str]]:
@@ -174,17 +207,25 @@ def _places(found: Calibrated, path: Path) -> list[Path]:
     return list(dict.fromkeys([*folders[:1], *(folder.parent for folder in folders[:1]), own.absolute()]))
 
 
-def _own_bounds(found: Calibrated, views: tuple[View, ...], path: Path) -> tuple[Bounds, dict[str, str]]:
-    """The box of the format, or one of a README or that is found, and then a note of which."""
-    if found.bounds is not None:
-        return found.bounds, {}
+def _told_in_readme(found: Calibrated, views: tuple[View, ...], path: Path) -> tuple[Bounds | None, float | None]:
+    """Box and millimetres in a world unit that a README says, if it is of this world: of a box in the images."""
     for folder in _places(found, path)[::-1]:
         try:
             box = read_padded_bounds(folder)
         except DataError:
             continue
+        box = mirrored(box) if found.left_handed else box
         if _not_in_images(views, box) is None:  # else it is of another frame, as of a set that was calibrated anew
-            return box, {"bounds": "those of the README"}
+            return box, read_unit(folder)
+    return None, None
+
+
+def _own_bounds(found: Calibrated, views: tuple[View, ...], readme: Bounds | None) -> tuple[Bounds, dict[str, str]]:
+    """The box of the format, or that of a README or one that is found, and then a note of which."""
+    if found.bounds is not None:
+        return found.bounds, {}
+    if readme is not None:
+        return readme, {"bounds": "those of the README"}
     box, how = enclosing_box(views, found.points)
     corners = ",".join(f"{x:.6g}" for x in (*box.low, *box.high))
     return box, {"bounds": f"{corners}, {how}{f' ({found.no_bounds})' if found.no_bounds else ''}"}

@@ -28,6 +28,7 @@ UNIT_UNKNOWN = {"unit": "not known; a world unit is taken for a metre"}
 """Note of the formats that have no unit."""
 
 _MOST_TEXT = 512 * 2**20  # bytes of a JSON or XML file
+_LARGEST_SIDE = 1_000_000  # pixels
 
 
 def pinhole(fx: float, fy: float, cx: float, cy: float, skew: float = 0.0) -> NDArray[np.float64]:
@@ -198,7 +199,7 @@ def read_json(path: Path) -> dict[str, Any]:
     DataError : not JSON, or no object.
     """
     try:
-        content = json.loads(_text(path))
+        content = json.loads(read_text(path))
     except (ValueError, RecursionError) as error:
         raise DataError(f"{path}: not readable as JSON: {error}") from None
     if not isinstance(content, dict):
@@ -213,7 +214,7 @@ def read_xml(path: Path) -> ElementTree.Element:
     ------
     DataError : not XML.
     """
-    text = _text(path)
+    text = read_text(path)
     if "<!DOCTYPE" in text or "<!ENTITY" in text:
         raise DataError(f"{path}: expected XML without a document type of its own")
     try:
@@ -222,9 +223,19 @@ def read_xml(path: Path) -> ElementTree.Element:
         raise DataError(f"{path}: not readable as XML: {error}") from None
 
 
-def _text(path: Path) -> str:
-    if path.stat().st_size > _MOST_TEXT:
-        raise DataError(f"{path}: expected at most {_MOST_TEXT // 2**20} MiB of text")
+def read_text(path: Path, most: int = _MOST_TEXT) -> str:
+    """A text file, UTF-8; other bytes become U+FFFD, to be found wrong where they stand.
+
+    Parameters
+    ----------
+    most : bytes.
+
+    Raises
+    ------
+    DataError : longer.
+    """
+    if path.stat().st_size > most:
+        raise DataError(f"{path}: expected at most {most} bytes of text, got {path.stat().st_size}")
     return path.read_bytes().decode("utf-8-sig", errors="replace")
 
 
@@ -285,3 +296,29 @@ def in_order(n: int, files: Sequence[Path], where: str) -> Sequence[Path]:
             f"in {place}"
         )
     return files
+
+
+def entries(content: Mapping[str, Any], part: str, where: str) -> list[dict[str, Any]]:
+    """Objects of a list in a JSON file.
+
+    Raises
+    ------
+    DataError : no list of objects.
+    """
+    found = content.get(part)
+    if not isinstance(found, list) or not all(isinstance(entry, dict) for entry in found):
+        raise DataError(f"{where}: expected a list '{part}' of objects")
+    return found
+
+
+def whole(value: Any, where: str) -> int:
+    """A width or height in pixels.
+
+    Raises
+    ------
+    DataError : none.
+    """
+    number = float(numbers((value,), 1, where)[0])
+    if number != int(number) or not 0 < number < _LARGEST_SIDE:
+        raise DataError(f"{where}: expected a whole number of pixels, got {number:g}")
+    return int(number)

@@ -15,8 +15,11 @@ _NEAREST = {
     r"\.(mp4|mov|avi|mkv)$": "a video has no calibration: take frames out of it, and calibrate them, e.g. by COLMAP",
     r"\.log$": "a trajectory (*.log, as of Tanks and Temples) holds poses alone, no intrinsics: give K beside it, as "
     "below, or the COLMAP model it was made from",
-    r"sfm_data\.(json|bin)$": "OpenMVG: export COLMAP's format by openMVG_main_openMVG2Colmap",
-    r"\.sfm$|cameras\.sfm": "AliceVision (Meshroom): export COLMAP's format by aliceVision_exportColmap",
+    r"(traj|trajectory|groundtruth)[^/]*\.(txt|csv)$": "a trajectory (as of TUM or EuRoC) holds poses alone, no "
+    "intrinsics: give K beside it, as below",
+    r"sfm_data\.bin$": "OpenMVG's binary file: make sfm_data.json of it by openMVG_main_ConvertSfM_DataFormat",
+    r"\.abc$": "AliceVision (Meshroom): take cameras.sfm of the same node, or export COLMAP's format by "
+    "aliceVision_exportColmap",
     r"\.rcproj$|\.rsproj$": "RealityCapture or RealityScan: export COLMAP's format",
     r"\.(psx|psz)$": "a Metashape project: export its cameras (File, Export, Export Cameras, Agisoft XML)",
     r"\.nvm$": "VisualSFM: convert it to COLMAP's format",
