@@ -48,7 +48,18 @@ def result(photographs: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_help_says_what_each_command_does() -> None:
     text = run("--help").stdout
-    for command in ("demo", "info", "board", "calibrate", "reconstruct", "compare", "evaluate", "render", "explain"):
+    for command in [
+        "demo",
+        "info",
+        "board",
+        "calibrate",
+        "convert",
+        "reconstruct",
+        "compare",
+        "evaluate",
+        "render",
+        "explain",
+    ]:
         assert command in text
         assert "Usage" in run(command, "--help").stdout
 

@@ -13,7 +13,7 @@ from typing import Annotated
 import typer
 
 from recon3d._version import __version__
-from recon3d.cli.commands import board, calibrate, compare, demo, evaluate, explain, info, reconstruct, render
+from recon3d.cli.commands import board, calibrate, compare, convert, demo, evaluate, explain, info, reconstruct, render
 from recon3d.errors import ArgumentError, FailedTestError, Recon3dError
 
 app = typer.Typer(
@@ -27,6 +27,7 @@ app.command("demo")(demo.command)
 app.command("info")(info.command)
 app.command("board")(board.command)
 app.command("calibrate")(calibrate.command)
+app.command("convert")(convert.command)
 app.command("reconstruct")(reconstruct.command)
 app.command("evaluate")(evaluate.command)
 app.command("compare")(compare.command)

@@ -5,9 +5,11 @@ from recon3d.io.checkpoints import Checkpoints
 from recon3d.io.geometry import read_geometry, read_mesh, read_support, write_geometry
 from recon3d.io.middlebury import write_middlebury
 from recon3d.io.opening import FORMATS, Format, open_scene
+from recon3d.io.writing import WRITERS, write_scene
 
 __all__ = [
     "FORMATS",
+    "WRITERS",
     "Calibrated",
     "CalibratedImage",
     "Checkpoints",
@@ -18,4 +20,5 @@ __all__ = [
     "read_support",
     "write_geometry",
     "write_middlebury",
+    "write_scene",
 ]

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from recon3d.errors import DataError
 from recon3d.io.calibrated import Calibrated, CalibratedImage
+from recon3d.io.middlebury import read_padded_bounds
 from recon3d.io.reading import IMAGE_FOLDERS, UNIT_UNKNOWN, image_files, numbered, views_named
 from recon3d.scene.bounds import Bounds
 from recon3d.scene.camera import Camera
@@ -50,8 +51,8 @@ def read_neus(path: Path) -> Calibrated:
         raise DataError(f"{file}: expected matrices world_mat_0 and so on, got {', '.join(sorted(matrices)[:6])}")
     folders = [file.parent / name for name in IMAGE_FOLDERS]
     photographs = numbered(keys, next((files for files in map(image_files, folders) if files), []), str(file))
-    bounds = _bounds(matrices.get(f"scale_mat_{keys[0]}"), file)
-    center = None if bounds is None else bounds.center
+    sphere = _bounds(matrices.get(f"scale_mat_{keys[0]}"), file)
+    center = None if sphere is None else sphere.center
     images = {}
     for key, image in photographs.items():
         photograph = Photograph(image)
@@ -60,15 +61,29 @@ def read_neus(path: Path) -> Calibrated:
         except ValueError as error:
             raise DataError(f"{file}: world_mat_{key}: {error}") from None
         images[image] = CalibratedImage("", photograph, camera)
-    millimetres = bounds is not None and bounds.longest / 2 >= _MILLIMETRES
+    millimetres = sphere is not None and sphere.longest / 2 >= _MILLIMETRES
     unit = {"unit": "taken for a millimetre, the object's sphere being so large"} if millimetres else UNIT_UNKNOWN
     return Calibrated(
         file.parent.resolve().name,
         views_named(images),
-        bounds=bounds,
+        bounds=_tighter(sphere, file.parent),
         mm_per_unit=1.0 if millimetres else 1000.0,
         notes={"format": f"{file.name} (IDR, NeuS)", **unit},
     )
+
+
+def _tighter(sphere: Bounds | None, folder: Path) -> Bounds | None:
+    """The box of a README where it lies in the sphere's, which is far larger than most objects."""
+    try:
+        box = read_padded_bounds(folder)
+    except DataError:
+        return sphere
+    held = (
+        sphere is not None
+        and (np.subtract(box.low, sphere.low) >= 0).all()
+        and (np.subtract(sphere.high, box.high) >= 0).all()
+    )
+    return box if held else sphere
 
 
 def _file(path: Path) -> Path | None:
