@@ -11,9 +11,9 @@ from scipy.ndimage import gaussian_filter, generate_binary_structure, label, map
 from recon3d.carving.hysteresis import neighbour_offsets
 from recon3d.kernels.footprints import carve_background, footprint, free_pixels, gather, mark
 from recon3d.kernels.lattice import grow_consistent
-from recon3d.kernels.matching import best_depths
+from recon3d.kernels.matching import Tried, Window, best_depths
 from recon3d.kernels.ragged import decile_ratios, mean_colors
-from recon3d.kernels.types import Footprints, Pixels
+from recon3d.kernels.types import Compared, Footprints, Pixels
 from recon3d.scene.packed import PackedViews
 from recon3d.scene.view import View
 from recon3d.volume.dense import CarvingVolume
@@ -229,10 +229,10 @@ def test_best_depths_are_those_of_the_largest_correlation_by_the_exact_homograph
     pixels = np.array([[u, v] for u in range(20, 56, 5) for v in range(20, 40, 4)])
     depths, scores = np.zeros(len(pixels)), np.full(len(pixels), -1.0)
     nearest = np.full(len(pixels), 1.5)
-    best_depths(
-        image, 80, 60, np.stack(others), np.array([[80, 60]] * 2), homographies, epipoles, pixels, nearest,
-        nearest + 1, 0.05, radius, stride, 1.0, depths, scores,
-    )  # fmt: skip
+    size = np.array([80, 60])
+    compared = Compared(image, size, np.stack(others), np.stack([size, size]), homographies, epipoles)
+    tried = Tried(nearest, nearest + 1, 0.05)
+    best_depths(compared, Window(radius, stride, 1.0), pixels, tried, depths, scores)
 
     def correlation(pixel: NDArray[np.int64], z: float) -> float:
         dv, du = np.mgrid[-radius : radius + 1 : stride, -radius : radius + 1 : stride]

@@ -7,7 +7,8 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import maximum_flow
 
 from recon3d.kernels.min_cut import SINK, min_cut
-from recon3d.kernels.splatting import splat_planes
+from recon3d.kernels.splatting import OrientedPoints, splat_planes
+from recon3d.kernels.types import Votes
 
 FACES = np.array([(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)])
 
@@ -77,7 +78,7 @@ def test_splatted_planes_are_gaussian_sums() -> None:
     points = rng.uniform(-2, 8, (40, 3)).astype(np.float32)  # some beside the lattice
     normals, weights = rng.standard_normal((40, 3)).astype(np.float32), rng.random(40).astype(np.float32)
     support, distance = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
-    splat_planes(points, normals, weights, sigma, radius, support, distance)
+    splat_planes(OrientedPoints(points, normals, weights), sigma, radius, Votes(distance, support))
     expected, behind = np.zeros(shape), np.zeros(shape)
     for voxel in np.ndindex(shape):
         for point, normal, weight in zip(points.astype(float), normals, weights, strict=True):

@@ -11,7 +11,18 @@ from numpy.typing import NDArray
 from scenes import ball_mesh, cameras, cropped, grain, photographs
 from scipy.ndimage import gaussian_filter
 
-from recon3d.kernels.planes import NOTHING, average_planes, find_visible, match_planes
+from recon3d.kernels.fusion import Agreement, Means, PlaneMaps, average_planes
+from recon3d.kernels.patch_match import (
+    NOTHING,
+    HalfSweep,
+    Planes,
+    Search,
+    Surface,
+    WeightedWindow,
+    find_visible,
+    match_planes,
+)
+from recon3d.kernels.types import Compared
 from recon3d.rendering.renderer import Renderer
 from recon3d.scene.scene import Scene
 from recon3d.stereo.patch_match import plane_normals
@@ -72,12 +83,10 @@ def visible_twin(
 def found_visible(
     scene: Scene, depths: NDArray[np.float32], normals: NDArray[np.float32], others: list[int], tolerance: float
 ) -> NDArray[np.uint32]:
-    cameras = scene.packed.cameras
+    views = scene.packed.cameras
     visible = np.full((18, 24), 77, np.uint32)
-    find_visible(
-        depths[0], normals[0], cameras.centers[0], cameras.world_from_pixel[0], cameras.projections[others],
-        cameras.centers[others], cameras.sizes[others], depths[others], STRIDE, tolerance, 0.15, visible,
-    )  # fmt: skip
+    surface = Surface(views.at(0), depths[0], normals[0], STRIDE)
+    find_visible(surface, views.part(others), depths[others], tolerance, 0.15, visible)
     return visible
 
 
@@ -148,15 +157,13 @@ class World:
     """A smooth random image before two others, and the pixels' places in those as match_planes wants them."""
 
     def __init__(self, scene: Scene) -> None:
-        cameras = scene.packed.cameras
+        views = scene.packed.cameras
         rng = np.random.default_rng(5)
         noise = [gaussian_filter(rng.standard_normal((36, 48)), 2.0) for _ in range(3)]
         self.grey = np.stack([128 + 40 * image / image.std() for image in noise]).astype(np.float32)
-        self.sizes = np.array([[48, 36]] * 3)
-        P = cameras.projections[[1, 2]]
-        self.H = P[:, :, :3] @ cameras.world_from_pixel[0]
-        self.e = P[:, :, :3] @ cameras.centers[0] + P[:, :, 3]
-        distance = np.linalg.norm(cameras.centers[0])
+        self.camera, self.others = views.at(0), views.part([1, 2])
+        self.others = self.others._replace(sizes=np.array([[48, 36]] * 2))
+        distance = np.linalg.norm(self.camera.center)
         self.planes = np.empty((18, 24, 3), np.float32)
         self.planes[..., 0] = 1 / (distance + rng.uniform(-0.5, 0.5, (18, 24)))
         self.planes[..., 1:] = rng.uniform(-5e-4, 5e-4, (18, 24, 2))
@@ -164,15 +171,20 @@ class World:
         self.nearest = np.full((18, 24), distance - 1, np.float32)
         self.farthest = np.full((18, 24), distance + 1, np.float32)
 
+    def compared(self) -> Compared:
+        """The first image with the others."""
+        return Compared.between(self.grey[0], self.camera, self.grey[1:], self.others)
+
     def match(
         self, *, visible: int = 3, radius: int = 4, spacing: int = 1, most: int = 2, trials: int = 0, parity: int = 0
     ) -> World:
         """One half sweep."""
         ranges = np.array([[np.inf, 1e-4], [1e-3, 1e-4], [5e-4, 5e-5]])[:trials]
+        seen = np.full((18, 24), visible, np.uint32)
         match_planes(
-            self.grey[0], 48, 36, self.grey[1:], self.sizes[1:], self.H, self.e,
-            np.full((18, 24), visible, np.uint32), self.nearest, self.farthest, STRIDE, radius, spacing, 20.0, 2.0,
-            most, ranges, parity, parity, self.planes, self.costs,
+            self.compared(), WeightedWindow(radius, spacing, 20.0, 2.0),
+            Search(seen, self.nearest, self.farthest, STRIDE, most), HalfSweep(parity, ranges),
+            Planes(self.planes, self.costs),
         )  # fmt: skip
         return self
 
@@ -184,13 +196,14 @@ def test_a_planes_cost_is_one_less_the_correlation_under_its_homography(
 ) -> None:
     # Nothing is tried but the plane that is there, of every second pixel, in one of the two views.
     world = World(scene).match(visible=1 << bit, radius=radius, spacing=spacing)
+    H, e = world.compared().homographies[bit], world.compared().epipoles[bit]
     compared = np.argwhere(world.costs < 1.999)
     assert len(compared) > 50
     assert (compared.sum(axis=1) % 2 == 0).all()
     exact, linear = (
         np.array([
             cost_twin(
-                world.grey[0], world.grey[1 + bit], world.H[bit], world.e[bit], (STRIDE * column, STRIDE * row),
+                world.grey[0], world.grey[1 + bit], H, e, (STRIDE * column, STRIDE * row),
                 world.planes[row, column], radius=radius, spacing=spacing, contrast=20.0, affine=affine,
             )
             for row, column in compared
@@ -310,10 +323,10 @@ def test_planes_are_averaged_with_those_that_agree(
     points, means, colors = np.zeros((3, *planes.shape))
     support = np.zeros(depths.shape)
     agreeing, contradicting = np.zeros((2, *depths.shape), np.int64)
-    views, cameras, asked = scene.packed, scene.packed.cameras, np.array([[1, 2, 3], [3, 2, 0], [0, 1, 3], [0, 1, 2]])
+    asked = np.array([[1, 2, 3], [3, 2, 0], [0, 1, 3], [0, 1, 2]])
     average_planes(
-        cameras.projections, cameras.centers, cameras.world_from_pixel, views.images, cameras.sizes, planes, normals,
-        weights, asked, STRIDE, 0.1, 0.8, points, means, colors, support, agreeing, contradicting,
+        scene.packed.cameras, scene.packed.images, PlaneMaps(planes, normals, weights, STRIDE),
+        Agreement(asked, 0.1, 0.8), Means(points, means, colors, support, agreeing, contradicting),
     )  # fmt: skip
     for place in map(tuple, np.argwhere(weights > 0)):
         point, normal, color, weight, n_agreeing, n_contradicting = average_twin(

@@ -31,7 +31,9 @@ from recon3d.carving.vote_carving import VoteCarving
 from recon3d.datasets.synthetic import Camera, little_temple, ring
 from recon3d.errors import ArgumentError, EmptyReconstructionError, SceneError
 from recon3d.evaluation.distances import evaluate
-from recon3d.kernels.matching import best_depths, count_agreements
+from recon3d.kernels.depth_maps import count_agreements
+from recon3d.kernels.matching import Tried, Window, best_depths
+from recon3d.kernels.types import Compared, DepthMaps
 from recon3d.rendering.renderer import Renderer
 from recon3d.scene.bounds import Bounds
 from recon3d.scene.scene import Scene
@@ -74,14 +76,11 @@ def matched(
     min_deviation: float = 1.0,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """What ``best_depths`` finds for pixels (n, 2) of the first view: depths, NaN where none, and scores."""
-    cameras = scene.packed.cameras
-    P = cameras.projections[others]
+    own = scene.packed.cameras
+    compared = Compared.between(grey[0], own.at(0), grey[others], own.part(others))
     depths, scores = np.full(len(pixels), np.nan), np.zeros(len(pixels))
-    best_depths(
-        grey[0], *cameras.sizes[0], grey[others], cameras.sizes[others], P[:, :, :3] @ cameras.world_from_pixel[0],
-        P[:, :, :3] @ cameras.centers[0] + P[:, :, 3], pixels, nearest, farthest, step, radius, spacing, min_deviation,
-        depths, scores,
-    )  # fmt: skip
+    window = Window(radius, spacing, min_deviation)
+    best_depths(compared, window, pixels, Tried(nearest, farthest, step), depths, scores)
     return depths, scores
 
 
@@ -125,16 +124,7 @@ def test_depths_of_a_ball_are_found_between_the_tried_ones() -> None:
 def test_agreements_are_counted_as_by_projecting_every_point(scene: Scene, stride: int, tolerance: float) -> None:
     depths = true_depths(scene, stride, noise=0.03)
     counts = np.zeros(depths.shape, np.int64)
-    cameras = scene.packed.cameras
-    count_agreements(
-        cameras.projections,
-        cameras.centers,
-        cameras.world_from_pixel,
-        depths,
-        stride,
-        tolerance,
-        counts,
-    )
+    count_agreements(scene.packed.cameras, DepthMaps(depths, np.ones_like(depths), stride), tolerance, counts)
     np.testing.assert_array_equal(counts, agreements_twin(scene, depths, stride, tolerance))
     assert {0, 1, 2} <= set(np.unique(counts))
 

@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_fill_holes, gaussian_filter
 
-from recon3d.kernels.matching import fuse_depths
+from recon3d.kernels.depth_maps import fuse_depths
+from recon3d.kernels.types import DepthMaps, Votes
 from recon3d.scene.packed import PackedViews
 from recon3d.volume.carved import CarvedVolume, Label
 from recon3d.volume.dense import CarvingVolume
@@ -26,10 +27,8 @@ def carve_by_depths(
     field: NDArray[np.float32],
     volume: CarvingVolume,
     views: PackedViews,
-    depths: NDArray[np.float32],
-    weights: NDArray[np.float32],
+    maps: DepthMaps,
     *,
-    stride: int,
     resolution: float,
     truncation: float,
     prior: float,
@@ -39,8 +38,7 @@ def carve_by_depths(
 
     Parameters
     ----------
-    depths, weights : (n_views, rows, columns) of every stride-th pixel along the optical axis, world units; a weight
-        of 0 marks pixels that do not vote.
+    maps : of the views; pixels with a weight of 0 do not vote.
     resolution : width of the blur that joins votes, and unit of the margin; world units.
     truncation : how far before and behind a depth it is evidence for the surface's exact place, world units.
     prior : weight of the vote for solid that every voxel starts with.
@@ -48,13 +46,10 @@ def carve_by_depths(
     """
     occupied = field > 0
     voxels = np.argwhere(occupied)
-    distance, support = np.zeros(len(voxels)), np.zeros(len(voxels))
-    fuse_depths(
-        voxels, volume.origin, volume.voxel_size, views.cameras.projections, depths, weights, stride, truncation,
-        distance, support,
-    )  # fmt: skip
+    near = Votes(np.zeros(len(voxels)), np.zeros(len(voxels)))
+    fuse_depths(voxels, volume.lattice.packed, views.cameras, maps, truncation, near)
     votes, weight = np.zeros(volume.shape, np.float32), np.zeros(volume.shape, np.float32)
-    votes[occupied], weight[occupied] = distance * support, support
+    votes[occupied], weight[occupied] = near.distance * near.support, near.support
     # Blurred together with their weights, so that one stray ray cannot bore a hole.
     blur = resolution / volume.voxel_size
     votes, weight = gaussian_filter(votes, blur), gaussian_filter(weight, blur)

@@ -7,7 +7,6 @@ from typing import ClassVar
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from recon3d.carving.depth_votes import MIN_DEVIATION, carve_by_depths, hull_of_field
 from recon3d.carving.item_buffer import ItemBuffer
@@ -17,7 +16,9 @@ from recon3d.carving.start import hull_distance
 from recon3d.carving.visible import color_visible
 from recon3d.checks import require_number
 from recon3d.errors import EmptyReconstructionError
-from recon3d.kernels.matching import best_depths, count_agreements
+from recon3d.kernels.depth_maps import count_agreements
+from recon3d.kernels.matching import Tried, Window, best_depths
+from recon3d.kernels.types import Compared, DepthMaps
 from recon3d.scene.neighbours import matching_neighbours
 from recon3d.scene.packed import PackedViews
 from recon3d.scene.scene import Scene
@@ -120,9 +121,8 @@ class VoteCarving(Method):
         for n, each in enumerate(_ROUNDS):
             buffer = ItemBuffer(views, volume)
             buffer.advance(field > 0)
-            depths, weights = matcher.depth_maps(buffer, each)
             field = carve_by_depths(
-                field, volume, views, depths, weights, stride=each.stride, resolution=resolution,
+                field, volume, views, matcher.depth_maps(buffer, each), resolution=resolution,
                 truncation=self.truncation * resolution, prior=each.prior, margin=each.margin,
             )  # fmt: skip
             if progress:
@@ -149,13 +149,14 @@ class _Matcher:
     min_score: float
     resolution: float
 
-    def depth_maps(self, buffer: ItemBuffer, each: _Round) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Confirmed depths and their weights (n_views, rows, columns) of every stride-th pixel; 0 where none."""
+    def depth_maps(self, buffer: ItemBuffer, each: _Round) -> DepthMaps:
+        """Confirmed depths, with weights of 0 where there are none."""
         views, cameras, size = self.views, self.views.cameras, self.volume.voxel_size
         grey = np.stack([cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) for image in views.images]).astype(np.float32)
         items = buffer.items[:, :: each.stride, :: each.stride]
         depths = np.zeros(items.shape, np.float32)
         weights = np.zeros(items.shape, np.float32)
+        window = Window(each.radius, each.spacing, MIN_DEVIATION)
         reach = each.reach * float(min(self.scene.bounds.extent))
         for n, others in enumerate(self.neighbours):
             rows, columns = np.nonzero(items[n] >= 0)
@@ -164,25 +165,15 @@ class _Matcher:
             entry = centers @ cameras.projections[n, 2, :3] + cameras.projections[n, 2, 3]
             found, score = np.zeros(len(entry)), np.full(len(entry), -1.0)
             if others:
-                P = cameras.projections[others]
-                best_depths(
-                    grey[n], *cameras.sizes[n], grey[others], cameras.sizes[others],
-                    P[:, :, :3] @ cameras.world_from_pixel[n], P[:, :, :3] @ cameras.centers[n] + P[:, :, 3],
-                    each.stride * np.column_stack([columns, rows]), entry - 1.5 * size, entry + reach,
-                    each.step * self.scene.pixel_footprint, each.radius, each.spacing, MIN_DEVIATION,
-                    found, score,
-                )  # fmt: skip
+                compared = Compared.between(grey[n], cameras.at(n), grey[others], cameras.part(others))
+                pixels = each.stride * np.column_stack([columns, rows])
+                tried = Tried(entry - 1.5 * size, entry + reach, each.step * self.scene.pixel_footprint)
+                best_depths(compared, window, pixels, tried, found, score)
             good = score > self.min_score
             depths[n, rows[good], columns[good]] = found[good]
             weights[n, rows[good], columns[good]] = score[good] ** 2
         agreements = np.zeros(depths.shape, np.int64)
-        count_agreements(
-            cameras.projections,
-            cameras.centers,
-            cameras.world_from_pixel,
-            depths,
-            each.stride,
-            0.75 * self.resolution,
-            agreements,
-        )
-        return np.where(agreements > 0, depths, 0), np.where(agreements > 0, weights, 0)
+        maps = DepthMaps(depths, weights, each.stride)
+        count_agreements(cameras, maps, 0.75 * self.resolution, agreements)
+        confirmed = agreements > 0
+        return DepthMaps(np.where(confirmed, depths, 0), np.where(confirmed, weights, 0), each.stride)

@@ -1,42 +1,77 @@
 """Normalised cross-correlation of windows along the rays of pixels."""
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
 from recon3d.kernels import Part, kernel, span
-from recon3d.kernels.cameras import project
+from recon3d.kernels.types import Compared
+
+
+class Window(NamedTuple):
+    """What of the images is compared."""
+
+    radius: int
+    """Pixels from the middle to the sides."""
+    spacing: int
+    """Pixels between compared ones."""
+    min_deviation: float
+    """Grey levels; a window with less contrast has nothing to match."""
+
+
+class _Samples(NamedTuple):
+    """A pixel's own window."""
+
+    values: NDArray[np.float32]
+    """(count,) grey levels less their mean, row by row."""
+    mean: np.float32
+    """Grey levels."""
+    power: float
+    """Sum of the squared values."""
+    u: int
+    """Column of the pixel."""
+    v: int
+    """Row of the pixel."""
+    half: int
+    """Samples from the middle to the sides."""
+    spacing: int
+    """Pixels between samples."""
+
+
+class Tried(NamedTuple):
+    """Depths that are tried for each pixel, world units along the optical axis."""
+
+    nearest: NDArray[np.float64]
+    """(n,) first one."""
+    farthest: NDArray[np.float64]
+    """(n,) last one, at most."""
+    step: float
+    """Between one and the next."""
 
 
 @kernel(parallel=True)
 def best_depths(
     part: Part,
-    image: NDArray[np.float32],
-    width: int,
-    height: int,
-    others: NDArray[np.float32],
-    other_sizes: NDArray[np.int64],
-    homographies: NDArray[np.float64],
-    epipoles: NDArray[np.float64],
+    compared: Compared,
+    window: Window,
     pixels: NDArray[np.int64],
-    nearest: NDArray[np.float64],
-    farthest: NDArray[np.float64],
-    step: float,
-    radius: int,
-    stride: int,
-    min_deviation: float,
+    tried: Tried,
     depths: NDArray[np.float64],
     scores: NDArray[np.float64],
 ) -> None:
     """Depth at which the windows of a view's pixels (n, 2) agree best with other views, and that agreement.
 
-    A pixel p at depth z lies at z * homographies[j] p + epipoles[j] in view j; windows stand parallel to the image.
-    The score of a depth is the mean of the two best correlations; scores is -1 where there is none.
+    Windows stand parallel to the image. The score of a depth is the mean of the two best correlations; scores is -1
+    where there is none.
     """
-    n_others = others.shape[0]
-    half = radius // stride
-    reach = stride * half
+    image, width, height = compared.image, compared.size[0], compared.size[1]
+    nearest, farthest, step = tried
+    n_others = compared.others.shape[0]
+    half = window.radius // window.spacing
+    reach = window.spacing * half
     count = (2 * half + 1) ** 2
-    window = np.empty(count, np.float32)
+    values = np.empty(count, np.float32)
     for n in span(part, pixels.shape[0]):
         scores[n] = -1.0
         u = pixels[n, 0]
@@ -45,18 +80,19 @@ def best_depths(
             continue
         mean = np.float32(0.0)
         at = 0
-        for dv in range(-reach, reach + 1, stride):
-            for du in range(-reach, reach + 1, stride):
-                window[at] = image[v + dv, u + du]
-                mean += window[at]
+        for dv in range(-reach, reach + 1, window.spacing):
+            for du in range(-reach, reach + 1, window.spacing):
+                values[at] = image[v + dv, u + du]
+                mean += values[at]
                 at += 1
         mean /= np.float32(count)
         power = 0.0
         for at in range(count):
-            window[at] -= mean
-            power += window[at] * window[at]
-        if power < count * min_deviation * min_deviation:
+            values[at] -= mean
+            power += values[at] * values[at]
+        if power < count * window.min_deviation * window.min_deviation:
             continue
+        own = _Samples(values, mean, power, u, v, half, window.spacing)
         n_steps = int((farthest[n] - nearest[n]) / step) + 1
         previous = -1.0
         best_at = -1
@@ -67,8 +103,7 @@ def best_depths(
             first = -1.0
             second = -1.0
             for j in range(n_others):
-                ncc = _correlation(window, mean, power, u, v, z, half, stride, homographies[j], epipoles[j], others[j],
-                                   other_sizes[j, 0], other_sizes[j, 1])  # fmt: skip
+                ncc = _correlation(own, z, compared, j)
                 if ncc > first:
                     second = first
                     first = ncc
@@ -92,32 +127,21 @@ def best_depths(
 
 
 @kernel()
-def _correlation(
-    window: NDArray[np.float32],
-    level: np.float32,
-    power: float,
-    u: int,
-    v: int,
-    z: float,
-    half: int,
-    stride: int,
-    H: NDArray[np.float64],
-    e: NDArray[np.float64],
-    other: NDArray[np.float32],
-    width: int,
-    height: int,
-) -> float:
-    """Correlation of a centred window with its image in another view; -1 where that leaves the image.
+def _correlation(own: _Samples, z: float, compared: Compared, j: int) -> float:
+    """Correlation of a window at a depth with its image in another view; -1 where that leaves the image.
 
-    Within a window the homography is as good as its affine part, which needs no division a sample. The level, grey
+    Within a window the homography is as good as its affine part, which needs no division a sample. The mean, grey
     values near the other window's, keeps sums of squares small.
     """
+    values, level, power, u, v, half, spacing = own
+    H, e, other = compared.homographies[j], compared.epipoles[j], compared.others[j]
+    width, height = compared.other_sizes[j, 0], compared.other_sizes[j, 1]
     w = z * (H[2, 0] * u + H[2, 1] * v + H[2, 2]) + e[2]
     if w <= 0.0:
         return -1.0
     x = (z * (H[0, 0] * u + H[0, 1] * v + H[0, 2]) + e[0]) / w
     y = (z * (H[1, 0] * u + H[1, 1] * v + H[1, 2]) + e[1]) / w
-    scale = z * stride / w
+    scale = z * spacing / w
     xu = (H[0, 0] - x * H[2, 0]) * scale
     xv = (H[0, 1] - x * H[2, 1]) * scale
     yu = (H[1, 0] - y * H[2, 0]) * scale
@@ -146,7 +170,7 @@ def _correlation(
             value = top + t * (bottom - top) - level
             total += value
             square += value * value
-            product += value * window[at]
+            product += value * values[at]
             at += 1
             a += xu
             b += yu
@@ -154,87 +178,3 @@ def _correlation(
     if variance < np.float32(0.05) * at:  # rounding in single precision makes a flat window as uneven
         return -1.0
     return product / np.sqrt(power * variance)
-
-
-@kernel(parallel=True)
-def fuse_depths(
-    part: Part,
-    voxels: NDArray[np.int64],
-    origin: NDArray[np.float64],
-    size: float,
-    projections: NDArray[np.float64],
-    depth_maps: NDArray[np.float32],
-    weights: NDArray[np.float32],
-    stride: int,
-    truncation: float,
-    distance: NDArray[np.float64],
-    support: NDArray[np.float64],
-) -> None:
-    """Weighted mean of truncated signed distances (positive behind the depth maps) at voxel centres (n, 3).
-
-    Depth maps hold every stride-th pixel of every stride-th row. A voxel farther than the truncation behind a view's
-    surface learns nothing from that view.
-    """
-    n_views, rows, columns = depth_maps.shape
-    for n in span(part, voxels.shape[0]):
-        x = origin[0] + (voxels[n, 0] + 0.5) * size
-        y = origin[1] + (voxels[n, 1] + 0.5) * size
-        z = origin[2] + (voxels[n, 2] + 0.5) * size
-        total = 0.0
-        weight = 0.0
-        for view in range(n_views):
-            u, v, depth = project(projections[view], x, y, z)
-            if depth <= 0.0:
-                continue
-            column = int(np.floor(u / stride + 0.5))
-            row = int(np.floor(v / stride + 0.5))
-            if row < 0 or column < 0 or row >= rows or column >= columns or weights[view, row, column] <= 0.0:
-                continue
-            behind = depth - depth_maps[view, row, column]
-            if behind > truncation:
-                continue
-            total += weights[view, row, column] * max(behind, -truncation)
-            weight += weights[view, row, column]
-        support[n] = weight
-        if weight > 0.0:
-            distance[n] = total / weight
-
-
-@kernel(parallel=True)
-def count_agreements(
-    part: Part,
-    projections: NDArray[np.float64],
-    centers: NDArray[np.float64],
-    world_from_pixel: NDArray[np.float64],
-    depth_maps: NDArray[np.float32],
-    stride: int,
-    tolerance: float,
-    counts: NDArray[np.int64],
-) -> None:
-    """In how many other views the depth map, where a pixel's point falls, has the point's own depth.
-
-    Depth maps hold every stride-th pixel of every stride-th row, 0 where there is no depth; tolerance is far below
-    any depth.
-    """
-    n_views, rows, columns = depth_maps.shape
-    for line in span(part, n_views * rows):
-        view = line // rows
-        row = line % rows
-        M = world_from_pixel[view]
-        for column in range(columns):
-            z = depth_maps[view, row, column]
-            if z <= 0.0:
-                continue
-            u = column * stride
-            v = row * stride
-            x = centers[view, 0] + z * (M[0, 0] * u + M[0, 1] * v + M[0, 2])
-            y = centers[view, 1] + z * (M[1, 0] * u + M[1, 1] * v + M[1, 2])
-            w = centers[view, 2] + z * (M[2, 0] * u + M[2, 1] * v + M[2, 2])
-            for other in range(n_views):
-                a, b, depth = project(projections[other], x, y, w)
-                if other == view or depth <= 0.0:
-                    continue
-                c = int(np.floor(a / stride + 0.5))
-                r = int(np.floor(b / stride + 0.5))
-                if 0 <= r < rows and 0 <= c < columns and abs(depth_maps[other, r, c] - depth) <= tolerance:
-                    counts[view, row, column] += 1

@@ -4,6 +4,8 @@ Boykov, Kolmogorov, "An experimental comparison of min-cut/max-flow algorithms f
 PAMI 2004. Arc d of a node leads to its d-th neighbour, and that one's arc d ^ 1 leads back.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -22,6 +24,28 @@ _STAMP = 3  # last time that the node was known to hang on a terminal
 _WAITING = 4  # whether it is among those that may still grow
 
 
+class Graph(NamedTuple):
+    """What can flow where; k arcs lead from each of n nodes."""
+
+    neighbours: NDArray[np.int32]
+    """(n, k) node that an arc leads to, -1: none."""
+    residual: NDArray[np.int32]
+    """(n, k) what an arc can still carry."""
+    terminal: NDArray[np.int32]
+    """(n,) what the source can still send to a node or, negative, the node to the sink."""
+
+
+class _Forest(NamedTuple):
+    """The search trees of both terminals."""
+
+    nodes: NDArray[np.int32]
+    """(n, 5) state of every node."""
+    active: NDArray[np.int32]
+    """(n + 2,) ring of those that may still grow; the last two entries are its begin and its length."""
+    orphans: NDArray[np.int32]
+    """(n,) those that lost their parent."""
+
+
 @kernel()
 def min_cut(
     neighbours: NDArray[np.int32], residual: NDArray[np.int32], terminal: NDArray[np.int32], tree: NDArray[np.uint8]
@@ -35,32 +59,34 @@ def min_cut(
     nodes = np.zeros((n, 5), np.int32)
     active, orphans = np.empty(n + 2, np.int32), np.empty(n, np.int32)
     active[n:] = 0
+    graph, forest = Graph(neighbours, residual, terminal), _Forest(nodes, active, orphans)
     for i in range(n):
         nodes[i, _DEPTH] = 1
         nodes[i, _PARENT] = _ORPHAN
         if terminal[i] != 0:
             nodes[i, _TREE] = SOURCE if terminal[i] > 0 else SINK
             nodes[i, _PARENT] = _TERMINAL
-            _activate(nodes, active, i)
-    flow, time, i = 0, 0, _next_active(nodes, active)
+            _activate(forest, i)
+    flow, time, i = 0, 0, _next_active(forest)
     while i >= 0:
-        d = _grow(neighbours, residual, nodes, active, i)
+        d = _grow(graph, forest, i)
         time += 1
         if d < 0:
-            i = _next_active(nodes, active)
+            i = _next_active(forest)
             continue
-        amount, n_orphans = _augment(neighbours, residual, terminal, nodes, orphans, i, d)
+        amount, n_orphans = _augment(graph, forest, i, d)
         flow += amount
-        _adopt(neighbours, residual, nodes, active, orphans, n_orphans, time)
+        _adopt(graph, forest, n_orphans, time)
         if nodes[i, _TREE] == FREE:
-            i = _next_active(nodes, active)
+            i = _next_active(forest)
     tree[:] = nodes[:, _TREE]
     return flow
 
 
 @kernel()
-def _activate(nodes: NDArray[np.int32], active: NDArray[np.int32], i: int) -> None:
-    """Let a node grow, once more or for the first time; the ring's last two entries are its begin and its length."""
+def _activate(forest: _Forest, i: int) -> None:
+    """Let a node grow, once more or for the first time."""
+    nodes, active, _ = forest
     n = nodes.shape[0]
     if nodes[i, _WAITING] == 0:
         nodes[i, _WAITING] = 1
@@ -69,8 +95,9 @@ def _activate(nodes: NDArray[np.int32], active: NDArray[np.int32], i: int) -> No
 
 
 @kernel()
-def _next_active(nodes: NDArray[np.int32], active: NDArray[np.int32]) -> int:
+def _next_active(forest: _Forest) -> int:
     """The node of a tree that has waited longest; -1: none."""
+    nodes, active, _ = forest
     n = nodes.shape[0]
     while active[n + 1] > 0:
         i = int(active[active[n]])
@@ -89,14 +116,10 @@ def _room(residual: NDArray[np.int32], side: int, i: int, d: int, j: int) -> int
 
 
 @kernel()
-def _grow(
-    neighbours: NDArray[np.int32],
-    residual: NDArray[np.int32],
-    nodes: NDArray[np.int32],
-    active: NDArray[np.int32],
-    i: int,
-) -> int:
+def _grow(graph: Graph, forest: _Forest, i: int) -> int:
     """Take free neighbours into the node's tree; the arc that meets the other tree, -1 when there is none."""
+    neighbours, residual, _ = graph
+    nodes = forest.nodes
     side = nodes[i, _TREE]
     for d in range(neighbours.shape[1]):
         j = neighbours[i, d]
@@ -104,7 +127,7 @@ def _grow(
             continue
         if nodes[j, _TREE] == FREE:
             nodes[j, _TREE] = side
-            _activate(nodes, active, j)
+            _activate(forest, j)
         elif nodes[j, _TREE] != side:
             return d
         elif nodes[j, _STAMP] > nodes[i, _STAMP] or nodes[j, _DEPTH] <= nodes[i, _DEPTH]:
@@ -114,39 +137,23 @@ def _grow(
 
 
 @kernel()
-def _augment(
-    neighbours: NDArray[np.int32],
-    residual: NDArray[np.int32],
-    terminal: NDArray[np.int32],
-    nodes: NDArray[np.int32],
-    orphans: NDArray[np.int32],
-    i: int,
-    d: int,
-) -> tuple[int, int]:
+def _augment(graph: Graph, forest: _Forest, i: int, d: int) -> tuple[int, int]:
     """Send what fits through arc d of a node that meets the other tree: the amount, and how many it orphaned."""
+    neighbours, residual, _ = graph
     j = neighbours[i, d]
-    side = nodes[i, _TREE]
-    amount = min(
-        _room(residual, side, i, d, j),
-        _narrowest(neighbours, residual, terminal, nodes, i),
-        _narrowest(neighbours, residual, terminal, nodes, j),
-    )
+    side = forest.nodes[i, _TREE]
+    amount = min(_room(residual, side, i, d, j), _narrowest(graph, forest.nodes, i), _narrowest(graph, forest.nodes, j))
     outwards = amount if side == SOURCE else -amount
     residual[i, d] -= outwards
     residual[j, d ^ 1] += outwards
-    n_orphans = _send(neighbours, residual, terminal, nodes, orphans, i, amount, 0)
-    return amount, _send(neighbours, residual, terminal, nodes, orphans, j, amount, n_orphans)
+    n_orphans = _send(graph, forest, i, amount, 0)
+    return amount, _send(graph, forest, j, amount, n_orphans)
 
 
 @kernel()
-def _narrowest(
-    neighbours: NDArray[np.int32],
-    residual: NDArray[np.int32],
-    terminal: NDArray[np.int32],
-    nodes: NDArray[np.int32],
-    i: int,
-) -> int:
+def _narrowest(graph: Graph, nodes: NDArray[np.int32], i: int) -> int:
     """What can flow between a node and the terminal of its tree."""
+    neighbours, residual, terminal = graph
     amount = _FAR
     while nodes[i, _PARENT] != _TERMINAL:
         d = nodes[i, _PARENT]
@@ -157,17 +164,10 @@ def _narrowest(
 
 
 @kernel()
-def _send(
-    neighbours: NDArray[np.int32],
-    residual: NDArray[np.int32],
-    terminal: NDArray[np.int32],
-    nodes: NDArray[np.int32],
-    orphans: NDArray[np.int32],
-    i: int,
-    amount: int,
-    n_orphans: int,
-) -> int:
+def _send(graph: Graph, forest: _Forest, i: int, amount: int, n_orphans: int) -> int:
     """Let an amount flow between a node and the terminal of its tree; how many orphans there are now."""
+    neighbours, residual, terminal = graph
+    nodes, _, orphans = forest
     side = nodes[i, _TREE]
     to_terminal = amount if side == SOURCE else -amount
     while nodes[i, _PARENT] != _TERMINAL:
@@ -189,29 +189,23 @@ def _send(
 
 
 @kernel()
-def _adopt(
-    neighbours: NDArray[np.int32],
-    residual: NDArray[np.int32],
-    nodes: NDArray[np.int32],
-    active: NDArray[np.int32],
-    orphans: NDArray[np.int32],
-    n_orphans: int,
-    time: int,
-) -> None:
+def _adopt(graph: Graph, forest: _Forest, n_orphans: int, time: int) -> None:
     """Find every orphan a new parent in its tree, or set it free and orphan its children."""
+    neighbours, residual, _ = graph
+    nodes, _, orphans = forest
     first = 0
     while n_orphans > 0:
         i = orphans[first]
         first = (first + 1) % orphans.shape[0]
         n_orphans -= 1
-        if _found_parent(neighbours, residual, nodes, i, time):
+        if _found_parent(graph, nodes, i, time):
             continue
         for d in range(neighbours.shape[1]):
             j = neighbours[i, d]
             if j < 0 or nodes[j, _TREE] != nodes[i, _TREE]:
                 continue
             if _room(residual, nodes[i, _TREE], j, d ^ 1, i) > 0:
-                _activate(nodes, active, j)
+                _activate(forest, j)
             if nodes[j, _PARENT] == d ^ 1:
                 nodes[j, _PARENT] = _ORPHAN
                 orphans[(first + n_orphans) % orphans.shape[0]] = j
@@ -220,10 +214,9 @@ def _adopt(
 
 
 @kernel()
-def _found_parent(
-    neighbours: NDArray[np.int32], residual: NDArray[np.int32], nodes: NDArray[np.int32], i: int, time: int
-) -> bool:
+def _found_parent(graph: Graph, nodes: NDArray[np.int32], i: int, time: int) -> bool:
     """Whether an orphan could be hung on the neighbour that is nearest to the terminal."""
+    neighbours, residual, _ = graph
     side, nearest, best = nodes[i, _TREE], _FAR, _ORPHAN
     for d in range(neighbours.shape[1]):
         j = neighbours[i, d]

@@ -1,26 +1,33 @@
 """Oriented points on a lattice."""
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
 from recon3d.kernels import kernel
+from recon3d.kernels.types import Votes
+
+
+class OrientedPoints(NamedTuple):
+    """Points on a surface, in voxels, whose centres lie at integers."""
+
+    points: NDArray[np.float32]
+    """(n, 3)."""
+    normals: NDArray[np.float32]
+    """(n, 3) unit, outwards."""
+    weights: NDArray[np.float32]
+    """(n,)."""
 
 
 @kernel()
-def splat_planes(
-    points: NDArray[np.float32],
-    normals: NDArray[np.float32],
-    weights: NDArray[np.float32],
-    sigma: float,
-    radius: int,
-    support: NDArray[np.float32],
-    distance: NDArray[np.float32],
-) -> None:
-    """Add to voxels around points (n, 3) their weights, and those times the centres' distances behind their planes.
+def splat_planes(oriented: OrientedPoints, sigma: float, radius: int, votes: Votes) -> None:
+    """Add to voxels around points their weights, and those times the centres' distances behind their planes.
 
-    All lengths are in voxels, whose centres lie at integers; weights fall off as a Gaussian, to the radius along each
-    axis.
+    All lengths are in voxels; weights fall off as a Gaussian, to the radius along each axis.
     """
+    points, normals, weights = oriented
+    distance, support = votes
     side = 2 * radius + 1
     fall, low = np.empty((3, side)), np.empty(3, np.int64)
     for n in range(points.shape[0]):

@@ -5,7 +5,7 @@ written to, belong. Names of arrays' extents: n_views, height and width of the p
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,6 +59,58 @@ class Cameras(NamedTuple):
     def at(self, view: int) -> Camera:
         """That of one view."""
         return Camera(*(field[view] for field in self))
+
+    def part(self, views: Sequence[int]) -> Self:
+        """Those of some views."""
+        fields: list[Any] = [field[views] for field in self]
+        return type(self)(*fields)
+
+
+class Compared(NamedTuple):
+    """A view and others that it is compared with.
+
+    A pixel p of the view at depth z lies at ``z * homographies[j] p + epipoles[j]`` in view j.
+    """
+
+    image: NDArray[np.float32]
+    """(height, width) luminance of the view, grey levels."""
+    size: NDArray[np.int64]
+    """(2,) its width and height, pixels."""
+    others: NDArray[np.float32]
+    """(n_others, height, width) luminance of the others, grey levels."""
+    other_sizes: NDArray[np.int64]
+    """(n_others, 2) their width and height, pixels."""
+    homographies: NDArray[np.float64]
+    """(n_others, 3, 3) between homogeneous pixels, by the plane at infinity."""
+    epipoles: NDArray[np.float64]
+    """(n_others, 3) homogeneous pixels where the others show the view's camera, scaled to go with depths."""
+
+    @classmethod
+    def between(cls, image: NDArray[np.float32], camera: Camera, others: NDArray[np.float32], cameras: Cameras) -> Self:
+        """Of a view's luminance and camera and the others'."""
+        P = cameras.projections
+        homographies = P[:, :, :3] @ camera.world_from_pixel
+        return cls(image, camera.size, others, cameras.sizes, homographies, P[:, :, :3] @ camera.center + P[:, :, 3])
+
+
+class DepthMaps(NamedTuple):
+    """Depths that all views' pixels were found to have."""
+
+    depths: NDArray[np.float32]
+    """(n_views, rows, columns) along the optical axis, world units; 0 where there is none."""
+    weights: NDArray[np.float32]
+    """(n_views, rows, columns); 0: says nothing."""
+    stride: int
+    """Pixels between those that have a depth; row r and column c belong to pixel (u, v) = (c, r) times that."""
+
+
+class Votes(NamedTuple):
+    """What is known of the surface at voxels, (n,) or (nx, ny, nz)."""
+
+    distance: NDArray[np.floating]
+    """Signed distance, positive behind the surface."""
+    support: NDArray[np.floating]
+    """Sum of the weights that the distance comes from; 0: nothing is known."""
 
 
 class Footprints(NamedTuple):

@@ -10,7 +10,7 @@ import open3d as o3d
 from numpy.typing import NDArray
 
 from recon3d.errors import ArgumentError, EmptyReconstructionError
-from recon3d.kernels.planes import average_planes
+from recon3d.kernels.fusion import Agreement, Means, PlaneMaps, average_planes
 from recon3d.scene.neighbours import overlapping_neighbours
 from recon3d.scene.scene import Scene
 from recon3d.stereo.patch_match import DepthMap, Matching, plane_normals
@@ -57,26 +57,25 @@ def fuse(scene: Scene, depth_maps: Sequence[DepthMap], matching: Matching) -> Fu
     """
     if len(depth_maps) != len(scene.views):
         raise ArgumentError(f"expected a depth map of each of {len(scene.views)} views, got {len(depth_maps)}")
-    views, asked = scene.packed, overlapping_neighbours(scene)
-    cameras = scene.packed.cameras
+    views = scene.packed
     planes = np.stack([depth_map.planes for depth_map in depth_maps])
     costs = np.stack([depth_map.costs for depth_map in depth_maps])
     normals = plane_normals(scene, planes, matching.stride)
     matched = weights = np.where(costs <= matching.max_cost, np.square(1 - costs), 0).astype(np.float32)
+    least = float(np.cos(np.radians(_MAX_ANGLE)))
+    agreement = Agreement(overlapping_neighbours(scene), _TOLERANCE * scene.pixel_footprint, least)
     for _ in range(2):
-        points, means, colors = np.zeros((3, *planes.shape))
-        support = np.zeros(costs.shape)
+        points, mean_normals, colors = np.zeros((3, *planes.shape))
         agreeing, contradicting = np.zeros((2, *costs.shape), np.int64)
-        average_planes(
-            cameras.projections, cameras.centers, cameras.world_from_pixel, views.images, cameras.sizes, planes,
-            normals, weights, asked, matching.stride, _TOLERANCE * scene.pixel_footprint,
-            float(np.cos(np.radians(_MAX_ANGLE))), points, means, colors, support, agreeing, contradicting,
-        )  # fmt: skip
-        weights = np.where(agreeing > 0, weights, np.float32(0))
-    weights = np.where(contradicting <= _CONTRADICTION * agreeing, weights, np.float32(0))
+        means = Means(points, mean_normals, colors, np.zeros(costs.shape), agreeing, contradicting)
+        maps = PlaneMaps(planes, normals, weights, matching.stride)
+        average_planes(views.cameras, views.images, maps, agreement, means)
+        weights = np.where(means.agreeing > 0, weights, np.float32(0))
+    weights = np.where(means.contradicting <= _CONTRADICTION * means.agreeing, weights, np.float32(0))
     kept = weights > 0
     if not kept.any():
         raise EmptyReconstructionError(
             f"scene {scene.name}: no two views agree on any point; {np.count_nonzero(matched):,} pixels found a match"
         )
-    return Fusion(points[kept], means[kept], np.clip(colors[kept] / 255, 0, 1), support[kept], weights)
+    colors = np.clip(means.colors[kept] / 255, 0, 1)
+    return Fusion(means.points[kept], means.normals[kept], colors, means.support[kept], weights)

@@ -13,7 +13,17 @@ from numpy.typing import NDArray
 from recon3d.carving.depth_votes import MIN_DEVIATION
 from recon3d.checks import require_number, require_whole
 from recon3d.errors import ArgumentError
-from recon3d.kernels.planes import NOTHING, find_visible, match_planes
+from recon3d.kernels.patch_match import (
+    NOTHING,
+    HalfSweep,
+    Planes,
+    Search,
+    Surface,
+    WeightedWindow,
+    find_visible,
+    match_planes,
+)
+from recon3d.kernels.types import Camera, Cameras, Compared
 from recon3d.rendering.renderer import Renderer
 from recon3d.scene.scene import Scene
 
@@ -94,14 +104,7 @@ class GuidedView:
 
     luminance: NDArray[np.float32]
     """(height, width) in [0, 255]."""
-    size: NDArray[np.int64]
-    """(2,) width and height, pixels."""
-    projection: NDArray[np.float64]
-    """(3, 4) P = K [R | t]."""
-    center: NDArray[np.float64]
-    """(3,) of the camera, world."""
-    world_from_pixel: NDArray[np.float64]
-    """(3, 3) R^T K^-1."""
+    camera: Camera
     depth: NDArray[np.float32]
     """(height, width) of the carved surface along the optical axis, world units; 0 beside it."""
     normals: NDArray[np.float32]
@@ -111,7 +114,6 @@ class GuidedView:
 def guide_views(scene: Scene, surface: o3d.geometry.TriangleMesh, stride: int) -> list[GuidedView]:
     """Every view of a scene with what it sees of a carved surface, whose normals are taken of strided pixels."""
     views, renderer = scene.packed, Renderer(surface)
-    cameras = scene.packed.cameras
     guided = []
     for n, view in enumerate(scene.views):
         depth = np.zeros(views.foreground.shape[1:], np.float32)
@@ -121,10 +123,7 @@ def guide_views(scene: Scene, surface: o3d.geometry.TriangleMesh, stride: int) -
         strided, _ = renderer.normals(seen.strided(stride))
         normals[: strided.shape[0], : strided.shape[1]] = strided
         luminance = cv2.cvtColor(views.images[n], cv2.COLOR_RGB2GRAY).astype(np.float32)
-        guided.append(
-            GuidedView(luminance, cameras.sizes[n], cameras.projections[n], cameras.centers[n],
-                       cameras.world_from_pixel[n], depth, normals)
-        )  # fmt: skip
+        guided.append(GuidedView(luminance, views.cameras.at(n), depth, normals))
     return guided
 
 
@@ -152,26 +151,21 @@ def match_view(
     costs = np.full(start.shape, NOTHING, np.float32)
     if not others or not start.any():
         return DepthMap(planes, costs)
-    P, centers, sizes, depths = (
-        np.stack([getattr(other, name) for other in others]) for name in ("projection", "center", "size", "depth")
-    )
+    cameras, depths = Cameras.of([other.camera for other in others]), np.stack([other.depth for other in others])
     visible = np.zeros(start.shape, np.uint32)
-    find_visible(
-        view.depth, view.normals, view.center, view.world_from_pixel, P, centers, sizes, depths, stride,
-        _TOLERANCE * footprint, _MIN_COSINE, visible,
-    )  # fmt: skip
+    surface = Surface(view.camera, view.depth, view.normals, stride)
+    find_visible(surface, cameras, depths, _TOLERANCE * footprint, _MIN_COSINE, visible)
     luminances = np.stack([other.luminance for other in others])
+    compared = Compared.between(view.luminance, view.camera, luminances, cameras)
+    window = WeightedWindow(matching.radius, matching.spacing, matching.contrast, MIN_DEVIATION)
     reach = np.float32(matching.reach * footprint)
     behind = reach + np.float32(matching.cavities * thickness)
     nearest, farthest = np.maximum(start - reach, reach), start + behind
+    search = Search(visible, nearest, farthest, stride, matching.compared)
+    unit = footprint / float(np.median(start[start > 0])) ** 2
     for sweep in range(2 * matching.rounds):
-        ranges = _ranges(matching, footprint / float(np.median(start[start > 0])) ** 2, sweep // 2)
-        match_planes(
-            view.luminance, *view.size, luminances, sizes, P[:, :, :3] @ view.world_from_pixel,
-            P[:, :, :3] @ view.center + P[:, :, 3], visible, nearest, farthest, stride, matching.radius,
-            matching.spacing, matching.contrast, MIN_DEVIATION, matching.compared, ranges, sweep % 2, sweep, planes,
-            costs,
-        )  # fmt: skip
+        half_sweep = HalfSweep(sweep, _ranges(matching, unit, sweep // 2))
+        match_planes(compared, window, search, half_sweep, Planes(planes, costs))
     return DepthMap(planes, costs)
 
 
@@ -189,7 +183,7 @@ def _first_planes(view: GuidedView, start: NDArray[np.float32], stride: int) -> 
     """(rows, columns, 3) planes of the carved surface at every strided pixel, where it has a depth (rows, columns)."""
     depth = start.astype(np.float64)
     # On the plane m . X = m . X0 of the camera's frame, 1 / z = m . K^-1 (u, v, 1) / (m . X0).
-    m = view.normals @ view.world_from_pixel
+    m = view.normals @ view.camera.world_from_pixel
     rows, columns = np.mgrid[: depth.shape[0], : depth.shape[1]] * stride
     facing = m[..., 0] * columns + m[..., 1] * rows + m[..., 2]
     facing = np.minimum(facing, -_MIN_COSINE)  # normals face the camera; a grazing plane is turned towards it

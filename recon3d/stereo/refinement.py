@@ -17,6 +17,7 @@ from recon3d.carving.depth_votes import carve_by_depths, hull_of_field
 from recon3d.carving.item_buffer import ItemBuffer
 from recon3d.carving.visible import color_visible
 from recon3d.errors import ArgumentError
+from recon3d.kernels.types import DepthMaps
 from recon3d.scene.neighbours import matching_neighbours
 from recon3d.scene.scene import Scene
 from recon3d.stereo.fusion import Fusion, fuse
@@ -159,9 +160,9 @@ def _carve(
     inverse = np.stack([depth_map.planes[..., 0] for depth_map in depth_maps])
     depths = np.divide(1, inverse, out=np.zeros_like(inverse), where=fusion.weights > 0)
     field = carve_by_depths(
-        np.where(solid, distance, np.minimum(distance, 0)), volume, views, depths, fusion.weights,
-        stride=matching.stride, resolution=_BLUR * volume.voxel_size, truncation=_TRUNCATION * volume.voxel_size,
-        prior=_PRIOR,
+        np.where(solid, distance, np.minimum(distance, 0)), volume, views,
+        DepthMaps(depths, fusion.weights, matching.stride), resolution=_BLUR * volume.voxel_size,
+        truncation=_TRUNCATION * volume.voxel_size, prior=_PRIOR,
     )  # fmt: skip
     return hull_of_field(field, np.where(solid, Label.INCONSISTENT, hull.labels), volume)
 

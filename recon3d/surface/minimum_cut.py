@@ -11,7 +11,8 @@ from scipy.ndimage import binary_dilation, binary_fill_holes, gaussian_filter, g
 
 from recon3d.errors import ArgumentError, EmptyReconstructionError
 from recon3d.kernels.min_cut import SINK, min_cut
-from recon3d.kernels.splatting import splat_planes
+from recon3d.kernels.splatting import OrientedPoints, splat_planes
+from recon3d.kernels.types import Votes
 from recon3d.surface.extraction import mesh_level
 from recon3d.volume.carved import CarvedVolume
 from recon3d.volume.dense import CarvingVolume
@@ -174,7 +175,8 @@ def _votes(
     lattice = points.on_lattice(volume)
     support, behind = np.zeros(volume.shape, np.float32), np.zeros(volume.shape, np.float32)
     radius = int(np.ceil(2.5 * spread))
-    splat_planes(lattice.astype(np.float32), points.normals, points.confidence, spread, radius, support, behind)
+    oriented = OrientedPoints(lattice.astype(np.float32), points.normals, points.confidence)
+    splat_planes(oriented, spread, radius, Votes(behind, support))
     np.divide(behind, support, out=behind, where=support > 0)
     holding = np.unique(np.ravel_multi_index(tuple(np.rint(lattice).astype(np.int64).T), volume.shape))
     return support / np.median(support.ravel()[holding]), behind
