@@ -67,6 +67,8 @@ def reconstruct(
     VolumeTooLargeError : the volume does not fit into memory.
     EmptyReconstructionError : nothing was left.
     """
+    if ground_truth is not None:
+        scene.known_scale()
     settings = (settings or Settings()).resolved(scene)
     run = _Run(progress)
     with run.step("views"):
@@ -164,13 +166,13 @@ def _supported(scene: Scene, seen: _Seen, min_area: float) -> _Seen:
 
 def _evaluated(result: Reconstruction, ground_truth: o3d.geometry.TriangleMesh) -> Reconstruction:
     """The result with the distances of its mesh, and of the part that was measured, to a ground truth."""
-    whole = evaluate(result.mesh, ground_truth, mm_per_unit=result.scene.mm_per_unit)
+    whole = evaluate(result.mesh, ground_truth, mm_per_unit=result.scene.known_scale())
     supported = result.supported_mesh()
     if not supported.has_triangles():
         return replace(result, evaluation=whole)
     if len(supported.triangles) == len(result.mesh.triangles):
         return replace(result, evaluation=whole, supported_evaluation=whole)
-    part = evaluate(supported, ground_truth, mm_per_unit=result.scene.mm_per_unit)
+    part = evaluate(supported, ground_truth, mm_per_unit=result.scene.known_scale())
     return replace(result, evaluation=whole, supported_evaluation=part)
 
 

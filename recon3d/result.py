@@ -110,8 +110,7 @@ class Reconstruction(Summarised):
     def summary(self) -> dict[str, object]:
         """Table of the run, what was measured first."""
         lattice = self.carved.lattice
-        mm = lattice.voxel_size * self.scene.mm_per_unit
-        share = self.supported_share
+        share, side = self.supported_share, self.scene.length(self.carved.lattice.voxel_size)
         distances = {"measured surface": self.supported_evaluation, "whole mesh": self.evaluation}
         if share == 1:
             del distances["whole mesh"]
@@ -121,7 +120,7 @@ class Reconstruction(Summarised):
             **{name: distance.headline() for name, distance in distances.items() if distance},
             **self.quality.summary(),
             "mesh": f"{len(self.mesh.triangles):,} triangles" + (f"; {self.repairs}" if str(self.repairs) else ""),
-            "voxels": f"{lattice.n_voxels:,} of {mm:.3g} mm, {self.carved.n_accepted:,} accepted",
+            "voxels": f"{lattice.n_voxels:,} of {side}, {self.carved.n_accepted:,} accepted",
             "time": ", ".join(f"{name} {seconds:.2f} s" for name, seconds in self.timings.items()),
         }
 

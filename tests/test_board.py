@@ -15,6 +15,7 @@ from recon3d.calibration.board import PAPERS_MM, Board, board_figure, cameras_fr
 from recon3d.calibration.result import Calibration
 from recon3d.datasets.synthetic import Camera, photograph
 from recon3d.errors import CalibrationError, DataError
+from recon3d.io import open_scene
 from recon3d.io.files import write_image
 from recon3d.rendering.orbit import look_at
 from recon3d.scene.view import View
@@ -141,6 +142,9 @@ def test_scene_is_written_without_distortion(photographs: Path, tmp_path: Path) 
     calibration = cameras_from_board(photographs, BOARD, output=tmp_path / "scene")
     assert (tmp_path / "scene" / "sparse" / "0" / "cameras.txt").is_file()
     assert len(list((tmp_path / "scene" / "images").iterdir())) == 10
+    scene = open_scene(tmp_path / "scene")
+    assert scene.mm_per_unit == 1000
+    assert scene.bounds == calibration.bounds
     again = cameras_from_board(tmp_path / "scene" / "images", BOARD)
     assert np.abs(again.cameras[0].distortion).max() < 0.03
     moved = [np.linalg.norm(a.center - b.center) for a, b in zip(calibration.cameras, again.cameras, strict=True)]

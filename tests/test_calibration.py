@@ -3,6 +3,7 @@ from __future__ import annotations
 import builtins
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -18,6 +19,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageOps
 from PIL.TiffImagePlugin import IFDRational
 from scenes import box_mesh, plain
+from typer.testing import CliRunner
 
 from recon3d.calibration import Calibration, CalibrationSettings, calibrate
 from recon3d.calibration.epipolar import _without_bridges, firmly_joined
@@ -26,9 +28,12 @@ from recon3d.calibration.photographs import PhotoFile, find_photographs
 from recon3d.calibration.result import CalibratedCamera, Observations, similarity
 from recon3d.calibration.structure_from_motion import WORK_FOLDER
 from recon3d.calibration.writing import quaternion, undistort, undistorted
+from recon3d.cli.entry import app
 from recon3d.datasets.synthetic import Camera, photograph, ring
-from recon3d.errors import CalibrationError, DataError
+from recon3d.errors import ArgumentError, CalibrationError, DataError, SceneError
+from recon3d.io import open_scene
 from recon3d.io.files import write_image
+from recon3d.pipeline import reconstruct
 from recon3d.scene.image_file import read_image
 from recon3d.scene.scene import Scene
 
@@ -178,6 +183,56 @@ def test_written_model_reprojects_its_points_in_undistorted_photographs(
         assert [frame[key] for key in ("fl_x", "fl_y", "cx", "cy")] == pytest.approx(list(camera.params))
         cam_from_world = np.diag([1, -1, -1, 1]) @ np.linalg.inv(frame["transform_matrix"])
         assert np.abs(cam_from_world[:3] - image.cam_from_world().matrix()).max() < 1e-9
+
+
+def test_what_was_calibrated_opens_as_a_scene_without_scale(calibrated: tuple[Calibration, Path, Stages]) -> None:
+    calibration, output, _ = calibrated
+    with pytest.warns(UserWarning, match="outside it are bright.*no silhouettes are made"):
+        scene = open_scene(output)
+    assert not any(view.has_silhouette for view in scene.views)  # the plate fills the image
+    assert [view.name for view in scene.views] == [camera.name for camera in calibration.cameras]
+    centers = np.array([camera.center for camera in calibration.cameras])
+    assert np.abs(scene.centers - centers).max() < 1e-9
+    assert scene.mm_per_unit is None
+    assert str(scene.summary()["extent"]).endswith(" units (no scale)")
+    assert "blurred" in scene.notes["not placed: q_blurred.png"]
+    with pytest.raises(SceneError, match="no scale is known"):
+        reconstruct(scene, ground_truth=world())
+    assert open_scene(output, silhouettes="none", mm_per_unit=7.0).known_scale() == 7.0
+    record = json.loads((output / "calibration.json").read_text())
+    for wrong in ({**record, "bounds": [1, 2]}, {"cameras": []}, {**record, "summary": 3}):
+        broken = Path(shutil.copytree(output, output.parent / "broken", dirs_exist_ok=True))
+        (broken / "calibration.json").write_text(json.dumps(wrong))
+        with pytest.raises(DataError, match=r"calibration\.json"):
+            open_scene(broken)
+
+
+def test_plain_photographs_are_calibrated_before_they_are_reconstructed(
+    folder: Path, calibrated: tuple[Calibration, Path, Stages], tmp_path: Path
+) -> None:
+    shutil.copytree(calibrated[1], tmp_path / "scene")  # as if an earlier run had been interrupted there
+    options = [
+        "--voxels",
+        "8000",
+        "--method",
+        "voxel-coloring",
+        "--silhouettes",
+        "none",
+        "--no-pictures",
+        "-o",
+        str(tmp_path),
+    ]
+    told = CliRunner().invoke(app, ["reconstruct", str(folder), *options], catch_exceptions=False).output
+    assert re.search(r"photographs placed: +12 of 15", told)
+    assert re.search(r"not placed: q_other\.png: +overlaps no other", told)
+    assert re.search(r"voxels: .* of \S+ units \(no scale\)", told)
+    record = json.loads((tmp_path / "record.json").read_text())
+    assert record["scene"]["mm_per_unit"] is None
+    assert record["scene"]["source"] == str(tmp_path / "scene")
+    with pytest.raises(ArgumentError, match="has its own cameras"):
+        CliRunner().invoke(
+            app, ["reconstruct", str(tmp_path / "scene"), "--board", "charuco-10x7:25mm"], catch_exceptions=False
+        )
 
 
 def test_undistorted_photograph_is_what_a_pinhole_takes(scene: Scene, folder: Path) -> None:
@@ -479,8 +534,6 @@ def test_quaternion_gives_the_rotation_back(axis_angle: tuple[float, float, floa
 
 
 def test_temple_is_placed_as_it_was_photographed(real_data: Path, tmp_path: Path) -> None:
-    from recon3d.io import open_scene
-
     scene = open_scene(real_data / "templeSparseRing")
     calibration = calibrate(real_data / "templeSparseRing", tmp_path)
     assert calibration.n_registered == 16

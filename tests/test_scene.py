@@ -361,8 +361,8 @@ def test_the_summary_speaks_in_millimetres() -> None:
         "views": 2,
         "image size": "40x30",
         "silhouettes": 1,
-        "bounds (mm)": "20.0 x 20.0 x 20.0",
-        "pixel footprint (mm)": "1.000",
+        "extent": "20 x 20 x 20 mm",
+        "pixel footprint": "1 mm",
         "a": "<b>",
     }
     page = scene._repr_html_()

@@ -21,8 +21,9 @@ from numpy.typing import NDArray
 
 from recon3d.calibration.photographs import PhotoFile, duplicates, find_photographs
 from recon3d.calibration.result import CalibratedCamera, Calibration, Observations
-from recon3d.calibration.writing import check_output, write_scene
+from recon3d.calibration.writing import check_output, write_calibration
 from recon3d.errors import ArgumentError, CalibrationError
+from recon3d.io.calibration_record import CALIBRATION_FILE
 from recon3d.io.files import atomic_path
 from recon3d.scene.bounds import Bounds
 from recon3d.scene.image_file import read_image
@@ -192,7 +193,7 @@ def cameras_from_board(
     found = find_photographs(photographs)
     unplaced = {name: f"the same file as {first}" for name, first in duplicates(found).items()}
     if output is not None:
-        check_output(Path(output), (photograph.path for photograph in found), "calibration.json")
+        check_output(Path(output), (photograph.path for photograph in found), CALIBRATION_FILE)
     seen = []
     detector = cv2.aruco.CharucoDetector(_charuco(board))
     for n, photograph in enumerate(found):
@@ -217,7 +218,7 @@ def cameras_from_board(
         )
     calibration = _calibration(seen, board, unplaced)
     if output is not None:
-        write_scene(calibration, output, progress)
+        write_calibration(calibration, output, progress)
     return calibration
 
 

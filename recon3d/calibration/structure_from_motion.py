@@ -19,7 +19,7 @@ from recon3d.calibration.photographs import PhotoFile, duplicates, find_photogra
 from recon3d.calibration.reasons import advice, reasons_of
 from recon3d.calibration.result import CalibratedCamera, Calibration, Observations, upright_world
 from recon3d.calibration.settings import CalibrationSettings
-from recon3d.calibration.writing import check_output, write_scene
+from recon3d.calibration.writing import check_output, write_calibration
 from recon3d.errors import CalibrationError
 from recon3d.io.files import write_json
 from recon3d.scene.image_file import read_image
@@ -81,7 +81,7 @@ def calibrate(
     unplaced |= others | {name: f"the same file as {first}" for name, first in repeated.items()}
     model = load_pycolmap().Reconstruction(kept)
     calibration = upright_world(_calibration(model, distinct, dict(sorted(unplaced.items()))))
-    write_scene(calibration, output, report)
+    write_calibration(calibration, output, report)
     return calibration
 
 

@@ -14,13 +14,14 @@ from numpy.typing import NDArray
 
 from recon3d.calibration.result import CalibratedCamera, Calibration, Observations
 from recon3d.errors import DataError
+from recon3d.io.calibration_record import CALIBRATION_FILE
 from recon3d.io.files import write_json
 from recon3d.scene.image_file import read_image
 from recon3d.tasks import StageProgress
 
 _JPEG = (".jpg", ".jpeg")
 _QUALITY = 97
-_PARTS = ("images", "sparse", "transforms.json", "calibration.json")
+_PARTS = ("images", "sparse", "transforms.json", CALIBRATION_FILE)
 
 
 def check_output(folder: Path, photographs: Iterable[Path], sign: str) -> None:
@@ -42,7 +43,7 @@ def check_output(folder: Path, photographs: Iterable[Path], sign: str) -> None:
         raise DataError(f"{folder}: holds {', '.join(there)} that no calibration wrote; choose another output")
 
 
-def write_scene(calibration: Calibration, folder: Path | str, progress: StageProgress | None = None) -> Path:
+def write_calibration(calibration: Calibration, folder: Path | str, progress: StageProgress | None = None) -> Path:
     """Write undistorted photographs, COLMAP's text model and nerfstudio's ``transforms.json``; returns the folder.
 
     The files are complete or not there: they are made beside the folder's and moved into their places, the record
@@ -64,7 +65,7 @@ def write_scene(calibration: Calibration, folder: Path | str, progress: StagePro
         (made / "sparse" / "0").mkdir(parents=True)
         _write_colmap(undone, made / "sparse" / "0")
         write_json(made / "transforms.json", _transforms(undone))
-        write_json(made / "calibration.json", _record(calibration))
+        write_json(made / CALIBRATION_FILE, _record(calibration))
         for part in reversed(_PARTS):
             _remove(folder / part)
         for part in _PARTS:
@@ -181,6 +182,7 @@ def _record(calibration: Calibration) -> dict[str, object]:
     """What the photographs' own cameras are, and what was not placed."""
     bounds = calibration.bounds
     return {
+        "name": calibration.cameras[0].path.absolute().parent.name,
         "summary": {key: str(value) for key, value in calibration.summary().items()},
         "mm_per_unit": calibration.mm_per_unit,
         "bounds": None if bounds is None else [bounds.low, bounds.high],

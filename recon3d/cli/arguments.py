@@ -54,6 +54,16 @@ def load(scene: str, bounds: str | None, silhouettes: str, mm_per_unit: float | 
     return loaded
 
 
+def plain_photographs(scene: str) -> bool:
+    """Whether a folder holds photographs, and nothing of their cameras."""
+    from recon3d.datasets.synthetic import SCENES
+    from recon3d.io.opening import format_of
+    from recon3d.io.reading import image_files
+
+    path = Path(scene)
+    return (path.is_dir() or scene not in SCENES) and bool(image_files(path)) and format_of(path) is None
+
+
 def calibrated(photographs: Path, output: Path, board: str | None = None, masks: Path | None = None) -> Calibration:
     """Cameras of plain photographs, by a printed board where one is named; writes the scene to a folder."""
     from recon3d.calibration import Board, calibrate, cameras_from_board
@@ -197,7 +207,7 @@ def record_of(result: Path) -> dict[str, Any] | None:
         return {
             "views": [str(name) for name in scene["views"]],
             "bounds": [float(x) for corner in (low, high) for x in corner],
-            "mm_per_unit": float(scene["mm_per_unit"]),
+            "mm_per_unit": None if scene["mm_per_unit"] is None else float(scene["mm_per_unit"]),
             "source": None if scene.get("source") is None else str(scene["source"]),
             "silhouettes": str(scene.get("silhouettes from", "auto")),
             "settings": record.get("settings"),

@@ -17,6 +17,14 @@ Scene = Annotated[
 ]
 
 
+SceneOrPhotographs = Annotated[
+    str,
+    typer.Argument(
+        metavar="SCENE|PHOTOS", help="Folder of photographs, calibrated or not, or 'little-temple' (built in)."
+    ),
+]
+
+
 Output = Annotated[
     Path | None, typer.Option("--output", "-o", metavar="DIR", help="Folder for the results.", rich_help_panel=OUTPUT)
 ]

@@ -107,8 +107,8 @@ class Silhouettes:
             if view.has_silhouette:
                 inside = distance_in(outlines, known, center)
                 known += 1
-            outside = -inside * self.scene.mm_per_unit
-            texts.append(f"its centre lies {outside:.2g} mm outside" if inside <= 0 else "")
+            outside = self.scene.length(-inside, digits=2)
+            texts.append(f"its centre lies {outside} outside" if inside <= 0 else "")
         return texts
 
     def _by_footprints(self, voxel: Voxel) -> list[str]:

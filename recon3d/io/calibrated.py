@@ -35,14 +35,16 @@ class Calibrated:
     images: tuple[CalibratedImage, ...]
     bounds: Bounds | None = None
     """Box around the object, as it is used where the user gives none."""
+    bounds_from: str = ""
+    """Where the bounds come from, if they hold more than the object for certain."""
     no_bounds: str = ""
     """Why there are none, where the format has a place for them."""
     points: NDArray[np.float64] | None = field(default=None, repr=False, compare=False)
     """(n, 3) points of what the photographs show, world; a box is found from them where there are no bounds."""
     left_handed: bool = False
     """Whether the files' world, that of bounds, points and a README, is left-handed; the cameras are of its mirror."""
-    mm_per_unit: float = 1000.0
-    """Millimetres in a world unit, where the user does not say."""
+    mm_per_unit: float | None = 1000.0
+    """Millimetres in a world unit, where the user does not say; None: no scale is known."""
     masked: frozenset[str] | None = None
     """Names of the views whose silhouettes are good; None: all that have a mask."""
     notes: Mapping[str, str] = field(default_factory=dict)

@@ -84,10 +84,11 @@ def write_readme(scene: Scene, folder: Path) -> Path:
     """Write bounds and unit of a scene as the README of a set; returns the file."""
     tight = scene.bounds.padded(-PADDING / (1 + 2 * PADDING) * scene.bounds.longest)
     low, high = (" ".join(map(repr, corner)) for corner in (tight.low, tight.high))
+    unit = "not known" if scene.mm_per_unit is None else f"{scene.mm_per_unit!r} mm"
     return write_text(
         folder / "README.txt",
         f"{scene.name}: {len(scene.views)} views\n\nThe (tight) bounding box is\n({low})\n({high})\n\n"
-        f"A world unit is {scene.mm_per_unit!r} mm.\n",
+        f"A world unit is {unit}.\n",
     )
 
 

@@ -16,6 +16,7 @@ from recon3d.io.alicevision import is_alicevision, read_alicevision
 from recon3d.io.bouguet import is_bouguet, read_bouguet
 from recon3d.io.bundler import is_bundler, read_bundler
 from recon3d.io.calibrated import Calibrated
+from recon3d.io.calibration_record import is_calibration, read_calibration
 from recon3d.io.colmap import is_colmap, read_colmap
 from recon3d.io.handedness import MIRROR, mirrored
 from recon3d.io.matrices import is_matrices, read_matrices
@@ -57,6 +58,7 @@ class Format(NamedTuple):
 
 FORMATS: dict[str, Format] = {
     "middlebury": Format(is_middlebury, read_middlebury, "a folder with a *_par.txt (Middlebury)"),
+    "calibrated": Format(is_calibration, read_calibration, "calibration.json (recon3d calibrate)"),
     "colmap": Format(is_colmap, read_colmap, "cameras and images, .bin or .txt (COLMAP)"),
     "transforms": Format(is_transforms, read_transforms, "transforms.json (nerfstudio, instant-ngp, Blender)"),
     "neus": Format(is_neus, read_neus, "cameras_sphere.npz (IDR, NeuS)"),
@@ -81,6 +83,7 @@ _MADE = {
 _CHECKED = 8e6  # pixels that are looked at to check a box
 _FEWEST = 3  # views that are looked at, however large
 _LEAST_SEEN, _NEARLY_ALL = 0.25, 0.9  # of a box's volume, in the median view
+_LIT = 0.1  # of the pixels outside the box, that may be bright on a dark background
 _OFF_CENTER = 0.5  # of the way from the image's middle to its border
 _PROBES = 6  # along each side of a box
 
@@ -103,7 +106,7 @@ def open_scene(
         from a dark background, by GrabCut or by the recipe of dinoSparseRing's README, of all views or of those that
         the scene says have good ones; "none"; or a folder of masks.
     mm_per_unit : millimetres in one world unit; what the README of ``write_scene`` or the format says, or 1000
-        (metres), when None.
+        (metres), when None. Photographs that were calibrated without a scale have none.
 
     Raises
     ------
@@ -113,7 +116,7 @@ def open_scene(
     path = Path(path)
     if not path.exists():
         raise DataError(f"{path}: no such file or folder")
-    known = next((known for known in FORMATS.values() if known.recognises(path)), None)
+    known = format_of(path)
     if known is None:
         raise DataError(told_unknown(path, [known.sign for known in FORMATS.values()]))
     found = _right_handed(known.read(path), path)
@@ -127,7 +130,7 @@ def open_scene(
         views,
         box,
         found.name,
-        next(mm for mm in (mm_per_unit, unit, found.mm_per_unit) if mm is not None),
+        next((mm for mm in (mm_per_unit, unit) if mm is not None), found.mm_per_unit),
         {
             **found.notes,
             **({} if unit is None else {"unit": "that of the README"}),
@@ -147,6 +150,11 @@ def open_scene(
         return with_segmented_silhouettes(scene, only=found.masked) if dark else scene
     _check_foreground(scene, must_fit=bounds is None and not told_box)
     return _MADE[str(silhouettes)](scene, only=found.masked)
+
+
+def format_of(path: Path) -> Format | None:
+    """The format of what lies at a path, or None."""
+    return next((known for known in FORMATS.values() if known.recognises(path)), None)
 
 
 def _right_handed(found: Calibrated, path: Path) -> Calibrated:
@@ -223,7 +231,7 @@ def _told_in_readme(found: Calibrated, views: tuple[View, ...], path: Path) -> t
 def _own_bounds(found: Calibrated, views: tuple[View, ...], readme: Bounds | None) -> tuple[Bounds, dict[str, str]]:
     """The box of the format, or that of a README or one that is found, and then a note of which."""
     if found.bounds is not None:
-        return found.bounds, {}
+        return found.bounds, {"bounds": found.bounds_from} if found.bounds_from else {}
     if readme is not None:
         return readme, {"bounds": "those of the README"}
     box, how = enclosing_box(views, found.points)
@@ -283,16 +291,20 @@ def _check_foreground(scene: Scene, *, must_fit: bool, otherwise: str = "") -> b
     n = len(scene.views)
     pixels = sum(view.width * view.height for view in scene.views) / n
     looked_at = int(np.clip(_CHECKED / pixels, min(_FEWEST, n), n))
-    shares = []
+    shares, lit = [], []
     for view in (scene.views[k] for k in np.linspace(0, n - 1, looked_at).round().astype(int)):
         bright = foreground(view.image)
-        held, all_bright = (int(np.count_nonzero(mask)) for mask in (bright & bounds_mask(scene.bounds, view), bright))
+        within = bounds_mask(scene.bounds, view)
+        held, all_bright, beside = (int(np.count_nonzero(mask)) for mask in (bright & within, bright, ~within))
         shares.append(held / max(all_bright, 1))
-    if np.median(shares) >= 0.9:
+        lit.append((all_bright - held) / max(beside, 1))
+    # A box that fills the image holds what is bright though the little beside it is no dark background.
+    if np.median(shares) >= 0.9 and (must_fit or np.median(lit) <= _LIT):
         return True
     message = (
-        f"{scene.name}: the bounding box holds only {100 * np.median(shares):.0f}% of the bright pixels of the "
-        "median image. Is this another set's box (every set has its own world frame), or a background that is not "
+        f"{scene.name}: the bounding box holds {100 * np.median(shares):.0f}% of the bright pixels of the "
+        f"median image, and {100 * np.median(lit):.0f}% of the pixels outside it are bright. Is this another set's box "
+        "(every set has its own world frame), or a background that is not "
         "dark? For that give silhouettes as a folder of masks, or none"
     )
     if must_fit:

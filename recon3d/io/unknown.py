@@ -42,7 +42,7 @@ def told_unknown(path: Path, signs: Sequence[str]) -> str:
     holds = [f"{len(images)} images"] * bool(images) + [f"{n} {end}" for end, n in other.most_common(5)]
     near = [text for sign, text in _NEAREST.items() if any(re.search(sign, file.name.lower()) for file in files)]
     if images and not other:
-        near = ["photographs without calibration: calibrate them first, e.g. by COLMAP, and open its folder"]
+        near = [f"photographs without calibration: find their cameras by recon3d calibrate {path} --output SCENE"]
     return "\n".join(
         [
             f"{expected} It holds {', '.join(holds) or 'nothing'}.",

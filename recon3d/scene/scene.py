@@ -34,8 +34,8 @@ class Scene(ByContent, Summarised):
     """Box around the object, world units; every voxel grid is made inside it. Open3D's box is taken, too."""
     name: str = "scene"
     """Used in titles and file names."""
-    mm_per_unit: float = 1000.0
-    """Millimetres in one world unit; 1000: the world is in metres."""
+    mm_per_unit: float | None = 1000.0
+    """Millimetres in one world unit; 1000: the world is in metres; None: no scale is known."""
     notes: dict[str, str] = field(default_factory=dict)
     """Where it came from, for tables and the run's record."""
     _packings: dict[float, Once[PackedViews]] = field(default_factory=dict, init=False, repr=False, compare=False)
@@ -49,7 +49,7 @@ class Scene(ByContent, Summarised):
         if repeated:
             raise SceneError(f"scene {self.name}: views share a name: {', '.join(repeated)}")
         object.__setattr__(self, "notes", dict(self.notes))
-        if not 0 < self.mm_per_unit < np.inf:
+        if self.mm_per_unit is not None and not 0 < self.mm_per_unit < np.inf:
             raise ArgumentError(f"scene {self.name}: expected mm_per_unit > 0, got {self.mm_per_unit}")
         object.__setattr__(self, "bounds", Bounds.of(self.bounds))
         if self.bounds.extent.min() <= 0:
@@ -75,7 +75,7 @@ class Scene(ByContent, Summarised):
         distortion: ArrayLike = (),
         names: Sequence[str] | None = None,
         name: str = "scene",
-        mm_per_unit: float = 1000.0,
+        mm_per_unit: float | None = 1000.0,
     ) -> Scene:
         """Scene of n photographs and the matrices of their cameras.
 
@@ -140,7 +140,7 @@ class Scene(ByContent, Summarised):
 
         Photographs and masks count by what they are made from: the bytes of a file, an array, or a recipe.
         """
-        told = (*(view.fingerprint() for view in self.views), self.bounds, float(self.mm_per_unit))
+        told = (*(view.fingerprint() for view in self.views), self.bounds, self.mm_per_unit and float(self.mm_per_unit))
         return hashlib.sha256(repr(told).encode()).hexdigest()
 
     @property
@@ -167,6 +167,24 @@ class Scene(ByContent, Summarised):
             raise SceneError(f"scene {self.name}: the centre of the bounds lies behind every camera")
         return float(np.median(before))
 
+    def known_scale(self) -> float:
+        """``mm_per_unit``, for what is measured in millimetres.
+
+        Raises
+        ------
+        SceneError : no scale is known.
+        """
+        if self.mm_per_unit is None:
+            raise SceneError(
+                f"scene {self.name}: no scale is known, so nothing can be measured in millimetres; give mm_per_unit"
+            )
+        return self.mm_per_unit
+
+    def length(self, *sides: float, digits: int = 3) -> str:
+        """Text of lengths in world units: millimetres, or "units (no scale)"."""
+        told = " x ".join(f"{side * (self.mm_per_unit or 1):.{digits}g}" for side in sides)
+        return f"{told} {'mm' if self.mm_per_unit else 'units (no scale)'}"
+
     def summary(self) -> dict[str, object]:
         """Table of what the scene holds."""
         sizes = sorted({f"{view.width}x{view.height}" for view in self.views})
@@ -175,8 +193,8 @@ class Scene(ByContent, Summarised):
             "views": len(self.views),
             "image size": ", ".join(sizes),
             "silhouettes": sum(view.has_silhouette for view in self.views),
-            "bounds (mm)": " x ".join(f"{side:.1f}" for side in self.bounds.extent * self.mm_per_unit),
-            "pixel footprint (mm)": f"{self.pixel_footprint * self.mm_per_unit:.3f}",
+            "extent": self.length(*self.bounds.extent, digits=4),
+            "pixel footprint": self.length(self.pixel_footprint),
             **self.notes,
         }
 

@@ -145,7 +145,7 @@ class TrialSetup:
         )
         if self.ground_truth is None:
             return trial
-        figures = evaluate(result.mesh, self.ground_truth, mm_per_unit=self.used.mm_per_unit, **self.options)
+        figures = evaluate(result.mesh, self.ground_truth, mm_per_unit=self.used.known_scale(), **self.options)
         return replace(
             trial,
             accuracy_mm=figures.accuracy_mm,

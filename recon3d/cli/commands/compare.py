@@ -84,7 +84,7 @@ def command(
     measuring: dict[str, Any] = {}
     if ground_truth:
         truth, mask = read_ground_truth(
-            ground_truth, valid=valid, valid_within_mm=valid_within, mm_per_unit=loaded.mm_per_unit
+            ground_truth, valid=valid, valid_within_mm=valid_within, mm_per_unit=loaded.known_scale()
         )
         measuring = {
             "ground_truth": truth,

@@ -10,6 +10,7 @@ import typer
 from recon3d.checks import require_number
 from recon3d.cli import options
 from recon3d.cli.arguments import beside, mesh_of, progress, record_of, say, writable
+from recon3d.errors import ArgumentError
 
 
 def command(
@@ -42,6 +43,8 @@ def command(
     if mm_per_unit is None:
         record = record_of(reconstruction)
         mm_per_unit = record["mm_per_unit"] if record else 1000.0
+        if mm_per_unit is None:
+            raise ArgumentError(f"--mm-per-unit: expected it, since {reconstruction} has no scale of its own")
     require_number("--mm-per-unit", mm_per_unit, "(0, inf)")
     with progress() as report:
         report("measuring", 0, 1)

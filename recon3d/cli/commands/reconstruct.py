@@ -9,8 +9,19 @@ from typing import Annotated
 import typer
 
 from recon3d.cli import options
-from recon3d.cli.arguments import load, make_method, run, save, say, views_of, writable
+from recon3d.cli.arguments import (
+    calibrated,
+    load,
+    make_method,
+    plain_photographs,
+    run,
+    save,
+    say,
+    views_of,
+    writable,
+)
 from recon3d.cli.options import ADVANCED, CARVING, INPUT, MATCHING, MEASURING, OUTPUT, SURFACE
+from recon3d.errors import ArgumentError
 
 
 class _Matching(StrEnum):
@@ -38,13 +49,14 @@ class _MeshFormat(StrEnum):
 
 
 def command(
-    scene: options.Scene,
+    scene: options.SceneOrPhotographs,
     views: options.Views = "auto",
     max_views: Annotated[
         int | None, typer.Option(help="With --views auto: at most so many.", rich_help_panel=INPUT)
     ] = None,
     silhouettes: options.Silhouettes = "auto",
     bounds: options.Bounds = None,
+    board: options.Board = None,
     mm_per_unit: options.MmPerUnit = None,
     n_voxels: Annotated[
         int | None,
@@ -114,7 +126,7 @@ def command(
         ),
     ] = 100.0,
 ) -> None:
-    """Reconstruct a coloured mesh, points and voxels from calibrated photographs."""
+    """Reconstruct a coloured mesh, points and voxels from photographs; plain ones are calibrated first."""
     from recon3d.io.geometry import read_mesh
     from recon3d.settings import Settings
     from recon3d.stereo import PASSES
@@ -136,8 +148,16 @@ def command(
         ),
     )
     truth = read_mesh(ground_truth) if ground_truth else None
-    loaded = load(scene, bounds, silhouettes, mm_per_unit)
-    folder = writable(output or Path("recon3d-output") / loaded.name)
+    if plain_photographs(scene):
+        folder = writable(output or Path("recon3d-output") / Path(scene).resolve().name)
+        found = calibrated(Path(scene), folder / "scene", board)
+        say(found.summary())
+        loaded = load(str(folder / "scene"), bounds, silhouettes, mm_per_unit)
+    elif board is not None:
+        raise ArgumentError(f"--board: {scene} has its own cameras; a board is for photographs alone")
+    else:
+        loaded = load(scene, bounds, silhouettes, mm_per_unit)
+        folder = writable(output or Path("recon3d-output") / loaded.name)
     result = run(loaded, settings, truth, folder / "stages")
     written = save(result, folder, [name.value for name in mesh_format or [_MeshFormat.ply]], pictures=pictures)
     say(result.summary())
