@@ -30,7 +30,13 @@ if TYPE_CHECKING:  # Open3D takes seconds to import, --help should not
     from recon3d.settings import Settings
 
 
-def load(scene: str, bounds: str | None, silhouettes: str, mm_per_unit: float | None = None) -> Scene:
+def load(
+    scene: str,
+    bounds: str | None,
+    silhouettes: str,
+    mm_per_unit: float | None = None,
+    images: Path | str | None = None,
+) -> Scene:
     """Scene of a folder or of a built-in name."""
     from recon3d.datasets.synthetic import SCENES
     from recon3d.io import open_scene
@@ -38,8 +44,9 @@ def load(scene: str, bounds: str | None, silhouettes: str, mm_per_unit: float | 
     from recon3d.scene.silhouettes import without_silhouettes
 
     if scene in SCENES and not Path(scene).exists():
-        if bounds is not None or silhouettes not in ("auto", "none") or mm_per_unit not in (None, 1000.0):
-            raise ArgumentError(f"{scene} is built in: it has its own bounds, silhouettes and unit")
+        given = bounds is not None or silhouettes not in ("auto", "none") or mm_per_unit not in (None, 1000.0)
+        if given or images is not None:
+            raise ArgumentError(f"{scene} is built in: it has its own bounds, silhouettes, unit and images")
         built_in = photograph(scene).scene
         if silhouettes == "none":
             bare = without_silhouettes(built_in)
@@ -49,7 +56,7 @@ def load(scene: str, bounds: str | None, silhouettes: str, mm_per_unit: float | 
     box = Bounds(numbers[:3], numbers[3:]) if numbers else None
     with progress() as report:
         report("reading", 0, 1)
-        loaded = open_scene(scene, bounds=box, silhouettes=silhouettes, mm_per_unit=mm_per_unit)
+        loaded = open_scene(scene, bounds=box, silhouettes=silhouettes, mm_per_unit=mm_per_unit, images=images)
         report("reading", 1, 1)
     return loaded
 
@@ -210,6 +217,7 @@ def record_of(result: Path) -> dict[str, Any] | None:
             "mm_per_unit": None if scene["mm_per_unit"] is None else float(scene["mm_per_unit"]),
             "source": None if scene.get("source") is None else str(scene["source"]),
             "silhouettes": str(scene.get("silhouettes from", "auto")),
+            "images": scene.get("images from"),
             "settings": record.get("settings"),
             "voxels": dict(record.get("voxels") or {}),
         }
@@ -224,7 +232,7 @@ def recorded_scene(result: Path, record: dict[str, Any] | None, *, silhouettes: 
     if record is None or record["source"] is None:
         raise DataError(f"{result}: no record says which scene this was made of{hint}")
     box = None if record["source"] in SCENES else ",".join(map(str, record["bounds"]))
-    return load(record["source"], box, silhouettes, record["mm_per_unit"]).subset(record["views"])
+    return load(record["source"], box, silhouettes, record["mm_per_unit"], record["images"]).subset(record["views"])
 
 
 def recorded_settings(result: Path, record: dict[str, Any] | None, test: str | None) -> Settings:

@@ -70,6 +70,14 @@ Views = Annotated[
 ]
 
 
+Images = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="DIR", help="Folder of the photographs, if they are not with the cameras.", rich_help_panel=INPUT
+    ),
+]
+
+
 MmPerUnit = Annotated[
     float | None,
     typer.Option(

@@ -85,8 +85,12 @@ def is_colmap(path: Path) -> bool:
     return path.is_dir() and _model_in(path) is not None
 
 
-def read_colmap(path: Path) -> Calibrated:
+def read_colmap(path: Path, images: Path | None = None) -> Calibrated:
     """Cameras, photographs and points of a COLMAP model, or of the folder of a workspace.
+
+    Parameters
+    ----------
+    images : folder of the photographs, where they lie elsewhere.
 
     Raises
     ------
@@ -96,14 +100,14 @@ def read_colmap(path: Path) -> Calibrated:
     if model is None:
         raise DataError(f"{path}: expected a COLMAP model: cameras and images, .bin or .txt")
     binary = (model / "cameras.bin").is_file() and (model / "images.bin").is_file()
-    lenses, images = (_binary_model if binary else _text_model)(model)
-    if not images:
+    lenses, listed = (_binary_model if binary else _text_model)(model)
+    if not listed:
         raise DataError(f"{model}: expected at least one image in the model")
     places = (path, model, model.parent, model.parent.parent)
-    names = [image.name for image in images]
-    found = find_images(names, [place / name for name in IMAGE_FOLDERS for place in places], str(model))
+    usual = [place / name for name in IMAGE_FOLDERS for place in places]
+    found = find_images([image.name for image in listed], [images] if images else usual, str(model))
     calibrated = []
-    for image in images:
+    for image in listed:
         if image.name not in found:
             continue
         if image.camera not in lenses:

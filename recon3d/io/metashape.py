@@ -61,8 +61,12 @@ def is_metashape(path: Path) -> bool:
     return _file(path) is not None
 
 
-def read_metashape(path: Path) -> Calibrated:
+def read_metashape(path: Path, images: Path | None = None) -> Calibrated:
     """Aligned cameras of the first chunk that has some, their photographs, and its region as bounds.
+
+    Parameters
+    ----------
+    images : folder of the photographs, where they lie elsewhere.
 
     Raises
     ------
@@ -82,7 +86,7 @@ def read_metashape(path: Path) -> Calibrated:
         raise DataError(f"{file}: expected labels that differ; two cameras share one")
     left_out = [camera.get("label", "") for camera in cameras if not _aligned(camera)]
     places = [file.parent / name for name in IMAGE_FOLDERS] + [file.parent.parent / name for name in IMAGE_FOLDERS[:-1]]
-    found = find_images(list(aligned), places, str(file))
+    found = find_images(list(aligned), [images] if images else places, str(file))
     frames = {
         part.get("id"): _frame(part, str(file))
         for part in chunk.iter("component")
@@ -90,7 +94,7 @@ def read_metashape(path: Path) -> Calibrated:
     }
     whole = _frame(chunk, str(file))
     sensors: dict[str, _Sensor] = {}
-    images, used = [], []
+    calibrated, used = [], []
     for label, image in found.items():
         camera, where = aligned[label], f"{file}: camera {label}"
         key = camera.get("sensor_id", "")
@@ -98,14 +102,14 @@ def read_metashape(path: Path) -> Calibrated:
             sensors[key] = _sensor(chunk, key, where)
         frame = frames.get(camera.get("component_id"), whole)
         used.append(frame)
-        images.append(_image(camera, image, sensors[key], frame, where))
+        calibrated.append(_image(camera, image, sensors[key], frame, where))
     scaled = whole.scale != 1 or chunk.find("transform") is not None
     notes = {"format": "Metashape XML", **({} if scaled else UNIT_UNKNOWN)}
     if left_out:
         notes["left out"] = f"{len(left_out)} cameras that are not aligned or not enabled: {listed(left_out)}"
     return Calibrated(
         file.parent.resolve().name,
-        tuple(sorted(images, key=lambda image: image.name)),
+        tuple(sorted(calibrated, key=lambda image: image.name)),
         bounds=next((frame.bounds for frame in used if frame.bounds), whole.bounds),
         notes=notes,
     )

@@ -7,17 +7,18 @@ metres, and every set has its own world frame. A README that recon3d writes besi
 from __future__ import annotations
 
 import re
+from itertools import product
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from recon3d.errors import DataError
 from recon3d.io.calibrated import Calibrated, CalibratedImage
 from recon3d.io.files import write_image, write_text
-from recon3d.io.handedness import right_handed
+from recon3d.io.par_file import camera_of_line, plain_name, poses_of_lines, read_par_file
+from recon3d.io.reading import IMAGE_FOLDERS, find_image, find_images, number_fields, read_text
 from recon3d.scene.bounds import Bounds
-from recon3d.scene.camera import Camera
+from recon3d.scene.mask_files import mask_folders
 from recon3d.scene.names import file_stems
 from recon3d.scene.photograph import Photograph
 from recon3d.scene.scene import Scene
@@ -28,35 +29,60 @@ PADDING = 0.01
 SILHOUETTE_FOLDER = "silhouettes"
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
-_CORNER = rf"\(\s*({_NUMBER})[\s,]+({_NUMBER})[\s,]+({_NUMBER})\s*\)"
+_CORNER = r"[(\[{]([^()\[\]{}]+)[)\]}]"
 
 
-def is_middlebury(folder: Path) -> bool:
-    """Whether a folder holds a ``*_par.txt``."""
-    return folder.is_dir() and any(folder.glob("*_par.txt"))
+def is_middlebury(path: Path) -> bool:
+    """Whether this is a ``*_par.txt``, or a folder that holds one."""
+    return bool(_files(path, "par") if path.is_dir() else re.fullmatch(_named("par"), path.name, re.IGNORECASE))
 
 
-def read_middlebury(folder: Path) -> Calibrated:
+def read_middlebury(path: Path, images: Path | None = None) -> Calibrated:
     """Cameras, photographs, box and masks of a Middlebury multi-view set.
+
+    Parameters
+    ----------
+    path : the set's folder, or its par file.
+    images : folder of the photographs, where they do not lie with the par file.
 
     Raises
     ------
     DataError : a file is missing or malformed; names file and line.
     """
-    images, left_handed = _read_images(_only_file(folder, "*_par.txt"))
+    file = _par_file(path)
+    folder = file.parent
     box, no_box = None, ""
     try:
         box = read_padded_bounds(folder)
     except DataError as error:
         no_box = str(error)
+    lines = read_par_file(file)
+    found, told = _photographs([line.name for line in lines], file, images)
+    poses, left_handed = poses_of_lines(lines)
+    views: dict[Path, CalibratedImage] = {}
+    for line in lines:
+        if line.name not in found:
+            continue
+        photograph = Photograph(found[line.name])
+        camera = camera_of_line(line, poses[line.where], photograph.size)
+        if found[line.name] in views:
+            raise DataError(f"{line.where}: {line.name} is the photograph of a line before")
+        first = next(iter(views.values()), None)
+        same_size = first and (camera.width, camera.height) == (first.camera.width, first.camera.height)
+        if first and not same_size and (camera.K == first.camera.K).all():
+            raise DataError(
+                f"{line.where}: expected {line.name} to have {first.camera.width}x{first.camera.height} pixels like "
+                f"{first.name}, whose K is the same, got {camera.width}x{camera.height}"
+            )
+        views[found[line.name]] = CalibratedImage(line.name, photograph, camera)
     return Calibrated(
         folder.resolve().name,
-        images,
+        tuple(views.values()),
         bounds=box,
         no_bounds=no_box,
         left_handed=left_handed,
-        masked=_good_silhouettes(folder, {image.name for image in images}),
-        notes={"format": "Middlebury"},
+        masked=_good_silhouettes(folder, {line.name for line in lines}),
+        notes={"format": "Middlebury", **told},
     )
 
 
@@ -95,7 +121,7 @@ def write_readme(scene: Scene, folder: Path) -> Path:
 def read_unit(folder: Path) -> float | None:
     """Millimetres in a world unit, where the README of a scene that recon3d wrote says them."""
     try:
-        found = re.search(rf"A world unit is ({_NUMBER}) mm\b", _readme(folder).read_text(errors="replace"))
+        found = re.search(rf"A world unit is ({_NUMBER}) mm\b", read_text(_readme(folder)))
     except DataError:
         return None
     return float(found[1]) if found and 0 < float(found[1]) < np.inf else None
@@ -109,11 +135,26 @@ def read_bounds(folder: Path | str) -> Bounds:
     DataError : there is no README, or no box in it.
     """
     readme = _readme(folder)
-    found = re.search(rf"{_CORNER}\s*{_CORNER}", readme.read_text(errors="replace"))
-    if not found:
-        raise DataError(f"{readme}: expected a bounding box '(x y z) (x y z)'; give bounds instead")
-    numbers = [float(number) for number in found.groups()]
-    return Bounds(numbers[:3], numbers[3:])
+    text = read_text(readme)
+    in_brackets = re.findall(rf"{_CORNER}\W{{0,3}}{_CORNER}", text)
+    for pair in (*in_brackets, *product(_lines_of(text, "min"), _lines_of(text, "max"))):
+        corners = [_numbers(corner) for corner in pair]
+        if all(len(corner) == 3 for corner in corners):
+            return Bounds(*corners)
+    raise DataError(f"{readme}: expected a bounding box '(x y z) (x y z)'; give bounds instead")
+
+
+def _lines_of(text: str, word: str) -> list[str]:
+    """What follows a word that begins so, up to the line's end."""
+    return re.findall(rf"^\W*{word}\w*[^\w\n.+-]*([-+.\d].*)$", text, re.IGNORECASE | re.MULTILINE)
+
+
+def _numbers(text: str) -> list[float]:
+    """Finite numbers of a text; none where anything else is in it."""
+    try:
+        return [number for field in number_fields(text, (3,)) if np.isfinite(number := float(field))]
+    except ValueError:
+        return []
 
 
 def read_padded_bounds(folder: Path | str) -> Bounds:
@@ -124,14 +165,14 @@ def read_padded_bounds(folder: Path | str) -> Bounds:
 
 def read_angles(folder: Path | str) -> dict[str, tuple[float, float]]:
     """Latitude and longitude in degrees of each view, from ``*_ang.txt``; empty where there is no such file."""
-    files = sorted(Path(folder).glob("*_ang.txt"))
+    files = _files(Path(folder), "ang")
     angles = {}
-    for number, line in enumerate(_lines(files[0]) if files else [], start=1):
-        fields = line.split()
+    for number, line in enumerate(read_text(files[0]).splitlines() if files else [], start=1):
+        fields = line.split(maxsplit=2)
         if not fields:
             continue
         try:
-            latitude, longitude, name = float(fields[0]), float(fields[1]), fields[2]
+            latitude, longitude, name = float(fields[0]), float(fields[1]), plain_name(fields[2])
         except (ValueError, IndexError):
             raise DataError(f"{files[0]}:{number}: expected 'latitude longitude image', got {line.strip()!r}") from None
         angles[name] = latitude, longitude
@@ -139,83 +180,72 @@ def read_angles(folder: Path | str) -> dict[str, tuple[float, float]]:
 
 
 def _readme(folder: Path | str) -> Path:
-    readmes = sorted(path for path in Path(folder).iterdir() if path.name.lower() in ("readme.txt", "readme"))
+    readmes = sorted(path for path in Path(folder).iterdir() if re.fullmatch(r"readme(\.\w+)?", path.name.lower()))
     if not readmes:
         raise DataError(f"{folder}: expected a README.txt with the bounding box; give bounds instead")
     return readmes[0]
 
 
-def _only_file(folder: Path, pattern: str) -> Path:
-    found = sorted(folder.glob(pattern)) if folder.is_dir() else []
+def _named(kind: str) -> str:
+    """Pattern of the name of a set's file: ``*_par.txt`` or ``par.txt``, but not what macOS leaves beside files."""
+    return rf"(?!\.)(.*_)?{kind}\.txt"
+
+
+def _files(folder: Path, kind: str) -> list[Path]:
+    """A set's files of a kind, in upper case or lower."""
+    return sorted(path for path in folder.iterdir() if re.fullmatch(_named(kind), path.name, re.IGNORECASE))
+
+
+def _par_file(path: Path) -> Path:
+    if path.is_file():
+        return path
+    found = _files(path, "par")
     if len(found) != 1:
-        raise DataError(f"{folder}: expected one file {pattern}, found {len(found)}")
+        names = ", ".join(file.name for file in found)
+        raise DataError(f"{path}: expected one file *_par.txt, found {len(found)}: {names}; give one of them instead")
     return found[0]
 
 
-def _lines(file: Path) -> list[str]:
-    """Lines of a text file; bytes that are no UTF-8 are left to be found wrong where they stand."""
-    return file.read_text(encoding="utf-8", errors="replace").splitlines()
+def _photographs(names: list[str], file: Path, images: Path | None) -> tuple[dict[str, Path], dict[str, str]]:
+    """Photographs by name, and a note of their folder where it is not the par file's or one in it.
 
-
-def _read_images(par_file: Path) -> tuple[tuple[CalibratedImage, ...], bool]:
-    """Images of a par file, with or without its count line, and whether its world is left-handed."""
-    lines = [(n, line.split()) for n, line in enumerate(_lines(par_file), start=1) if line.strip()]
-    expected = None
-    if lines and len(lines[0][1]) == 1 and lines[0][1][0].isdigit():
-        expected = int(lines.pop(0)[1][0])
-    if expected is not None and expected != len(lines):
-        raise DataError(f"{par_file}:1: the count line says {expected} views, the file has {len(lines)}")
-    if not lines:
-        raise DataError(f"{par_file}: expected at least one view")
-    matrices = {}
-    for number, fields in lines:
-        where = f"{par_file}:{number}"
-        if len(fields) != 22:
-            raise DataError(f"{where}: expected an image name and 21 numbers, got {len(fields)} fields")
-        name, path = fields[0], par_file.parent / fields[0]
-        if not path.is_file():
-            raise DataError(f"{where}: image {path} is missing")
-        matrices[where] = _matrices(fields[1:], where)
-    poses, left_handed = right_handed({where: pose for where, (_, pose) in matrices.items()})
-    images: list[CalibratedImage] = []
-    for (where, (K, _)), (_, fields) in zip(matrices.items(), lines, strict=True):
-        name, photograph = fields[0], Photograph(par_file.parent / fields[0])
-        try:
-            camera = Camera(K, poses[where], *photograph.size)
-        except ValueError as error:
-            raise DataError(f"{where}: {error}") from None
-        first = images[0] if images else None
-        if first and (camera.width, camera.height) != (first.camera.width, first.camera.height):
+    They may lie in a folder beside, if that is the only one that holds them and no other set's.
+    """
+    folder = file.parent
+    if images is not None:
+        return find_images(names, [images], str(file)), {"photographs": str(images)}
+    places = [folder, *(folder / name for name in IMAGE_FOLDERS if name), *_subfolders(folder)]
+    if not any(find_image(place, name) for place in places for name in names):
+        beside = [place for place in _subfolders(folder.absolute().parent) if not _files(place, "par")]
+        holding = [place for place in beside if all(find_image(place, name) for name in names)]
+        if len(holding) > 1:
             raise DataError(
-                f"{where}: expected {name} to have {first.camera.width}x{first.camera.height} pixels like "
-                f"{first.name}, got {camera.width}x{camera.height}"
+                f"{file}: photographs of these names are in {', '.join(map(str, holding))}: say in which they are "
+                "(--images DIR, images=...)"
             )
-        images.append(CalibratedImage(name, photograph, camera))
-    return tuple(images), left_handed
+        if holding:
+            return find_images(names, holding, str(file)), {"photographs": str(holding[0])}
+        places += beside
+    return find_images(names, places, str(file)), {}
 
 
-def _matrices(fields: list[str], where: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(3, 3) K and (3, 4) [R | t] of 21 fields."""
-    numbers = []
-    for field in fields:
-        try:
-            numbers.append(float(field))
-        except ValueError:
-            raise DataError(f"{where}: expected a number, got {field!r}") from None
-    K, R, t = np.split(np.array(numbers), [9, 18])
-    return K.reshape(3, 3), np.column_stack([R.reshape(3, 3), t])
+def _subfolders(folder: Path) -> list[Path]:
+    """Folders in a folder, but not of masks and not hidden ones."""
+    masks = mask_folders([folder])
+    return [path for path in sorted(folder.iterdir()) if path.is_dir() and path.name[0] != "." and path not in masks]
 
 
 def _good_silhouettes(folder: Path, names: set[str]) -> frozenset[str] | None:
     """Names in ``*_good_silhouette_images.txt``, or None without that file."""
-    files = sorted(folder.glob("*_good_silhouette_images.txt"))
+    files = _files(folder, "good_silhouette_images")
     if not files:
         return None
+    known = {name.casefold(): name for name in names}
     good = set()
-    for number, line in enumerate(_lines(files[0]), start=1):
-        name = line.strip()
-        if name and name not in names:
+    for number, line in enumerate(read_text(files[0]).splitlines(), start=1):
+        name = plain_name(line)
+        if name and name.casefold() not in known:
             raise DataError(f"{files[0]}:{number}: {name} is not in the par file")
         if name:
-            good.add(name)
+            good.add(known[name.casefold()])
     return frozenset(good)

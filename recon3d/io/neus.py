@@ -35,8 +35,12 @@ def is_neus(path: Path) -> bool:
     return _file(path) is not None
 
 
-def read_neus(path: Path) -> Calibrated:
+def read_neus(path: Path, images: Path | None = None) -> Calibrated:
     """Cameras, photographs and bounds.
+
+    Parameters
+    ----------
+    images : folder of the photographs, where they lie elsewhere.
 
     Raises
     ------
@@ -49,23 +53,23 @@ def read_neus(path: Path) -> Calibrated:
     keys = sorted(int(key.removeprefix("world_mat_")) for key in matrices if re.fullmatch(r"world_mat_\d+", key))
     if not keys:
         raise DataError(f"{file}: expected matrices world_mat_0 and so on, got {', '.join(sorted(matrices)[:6])}")
-    folders = [file.parent / name for name in IMAGE_FOLDERS]
+    folders = [images] if images else [file.parent / name for name in IMAGE_FOLDERS]
     photographs = numbered(keys, next((files for files in map(image_files, folders) if files), []), str(file))
     sphere = _bounds(matrices.get(f"scale_mat_{keys[0]}"), file)
     center = None if sphere is None else sphere.center
-    images = {}
+    calibrated = {}
     for key, image in photographs.items():
         photograph = Photograph(image)
         try:
             camera = Camera.from_projection(matrices[f"world_mat_{key}"], *photograph.size, seen=center)
         except ValueError as error:
             raise DataError(f"{file}: world_mat_{key}: {error}") from None
-        images[image] = CalibratedImage("", photograph, camera)
+        calibrated[image] = CalibratedImage("", photograph, camera)
     millimetres = sphere is not None and sphere.longest / 2 >= _MILLIMETRES
     unit = {"unit": "taken for a millimetre, the object's sphere being so large"} if millimetres else UNIT_UNKNOWN
     return Calibrated(
         file.parent.resolve().name,
-        views_named(images),
+        views_named(calibrated),
         bounds=_tighter(sphere, file.parent),
         mm_per_unit=1.0 if millimetres else 1000.0,
         notes={"format": f"{file.name} (IDR, NeuS)", **unit},

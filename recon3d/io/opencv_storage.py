@@ -49,8 +49,12 @@ def is_opencv_storage(path: Path) -> bool:
     return _file(path) is not None
 
 
-def read_opencv_storage(path: Path) -> Calibrated:
+def read_opencv_storage(path: Path, images: Path | None = None) -> Calibrated:
     """Cameras and photographs.
+
+    Parameters
+    ----------
+    images : folder of the photographs, where they lie elsewhere.
 
     Raises
     ------
@@ -78,19 +82,19 @@ def read_opencv_storage(path: Path) -> Calibrated:
     )
     size = (width, height) if width > 0 and height > 0 else None
     poses = _poses(held, str(file))
-    folders = [file.parent / name for name in IMAGE_FOLDERS]
+    folders = [images] if images else [file.parent / name for name in IMAGE_FOLDERS]
     if all(re.fullmatch(r"\d*", name) for name in poses):
         files = next((found for found in map(image_files, folders) if found), [])
         found = dict(zip(sorted(poses, key=natural), in_order(len(poses), files, str(file)), strict=True))
     else:
         found = find_images(list(poses), folders, str(file))
-    images = {}
+    calibrated = {}
     for name, image in found.items():
         photograph = photograph_of(image, size, stored=False)
         camera = camera_of(K.reshape(3, 3), poses[name], size, photograph, f"{file}: {name}", distortion)
-        images[image] = CalibratedImage("", photograph, camera)
+        calibrated[image] = CalibratedImage("", photograph, camera)
     return Calibrated(
-        file.parent.resolve().name, views_named(images), notes={"format": "OpenCV FileStorage", **UNIT_UNKNOWN}
+        file.parent.resolve().name, views_named(calibrated), notes={"format": "OpenCV FileStorage", **UNIT_UNKNOWN}
     )
 
 

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 import open3d as o3d
 
-from recon3d.errors import DataError, SceneError
+from recon3d.errors import ArgumentError, DataError, SceneError
 from recon3d.io.alicevision import is_alicevision, read_alicevision
 from recon3d.io.bouguet import is_bouguet, read_bouguet
 from recon3d.io.bundler import is_bundler, read_bundler
@@ -52,20 +52,22 @@ class Format(NamedTuple):
     """How a scene format is recognised and read."""
 
     recognises: Callable[[Path], bool]
-    read: Callable[[Path], Calibrated]
+    read: Callable[..., Calibrated]
+    """Of a path and, where photographs may lie elsewhere, their folder ``images``."""
     sign: str
+    images_elsewhere: bool = False
 
 
 FORMATS: dict[str, Format] = {
-    "middlebury": Format(is_middlebury, read_middlebury, "a folder with a *_par.txt (Middlebury)"),
+    "middlebury": Format(is_middlebury, read_middlebury, "a folder with a *_par.txt (Middlebury)", True),
     "calibrated": Format(is_calibration, read_calibration, "calibration.json (recon3d calibrate)"),
-    "colmap": Format(is_colmap, read_colmap, "cameras and images, .bin or .txt (COLMAP)"),
+    "colmap": Format(is_colmap, read_colmap, "cameras and images, .bin or .txt (COLMAP)", True),
     "transforms": Format(is_transforms, read_transforms, "transforms.json (nerfstudio, instant-ngp, Blender)"),
-    "neus": Format(is_neus, read_neus, "cameras_sphere.npz (IDR, NeuS)"),
+    "neus": Format(is_neus, read_neus, "cameras_sphere.npz (IDR, NeuS)", True),
     "mvsnet": Format(is_mvsnet, read_mvsnet, "cams/*_cam.txt (MVSNet)"),
-    "metashape": Format(is_metashape, read_metashape, "cameras.xml (Metashape)"),
+    "metashape": Format(is_metashape, read_metashape, "cameras.xml (Metashape)", True),
     "open3d": Format(is_open3d, read_open3d, "a PinholeCameraTrajectory (Open3D)"),
-    "opencv": Format(is_opencv_storage, read_opencv_storage, "K, rvec and tvec as YAML or XML (OpenCV)"),
+    "opencv": Format(is_opencv_storage, read_opencv_storage, "K, rvec and tvec as YAML or XML (OpenCV)", True),
     "openmvg": Format(is_openmvg, read_openmvg, "sfm_data.json (OpenMVG)"),
     "alicevision": Format(is_alicevision, read_alicevision, "cameras.sfm or sfm.json (AliceVision, Meshroom)"),
     "strecha": Format(is_strecha, read_strecha, "*.camera (Strecha)"),
@@ -94,6 +96,7 @@ def open_scene(
     bounds: Bounds | o3d.geometry.AxisAlignedBoundingBox | None = None,
     silhouettes: str | Path = "auto",
     mm_per_unit: float | None = None,
+    images: str | Path | None = None,
 ) -> Scene:
     """Open a folder of calibrated photographs, whatever its format; pixels are read when they are asked for.
 
@@ -107,9 +110,11 @@ def open_scene(
         the scene says have good ones; "none"; or a folder of masks.
     mm_per_unit : millimetres in one world unit; what the README of ``write_scene`` or the format says, or 1000
         (metres), when None. Photographs that were calibrated without a scale have none.
+    images : folder of the photographs, where they do not lie with the cameras.
 
     Raises
     ------
+    ArgumentError : the format names its photographs itself, and `images` are given.
     DataError : nothing there, of no known format, or a file is missing or malformed; names file and line.
     SceneError : the box does not fit the cameras or cuts the object off.
     """
@@ -119,7 +124,7 @@ def open_scene(
     known = format_of(path)
     if known is None:
         raise DataError(told_unknown(path, [known.sign for known in FORMATS.values()]))
-    found = _right_handed(known.read(path), path)
+    found = _right_handed(_read(known, path, None if images is None else Path(images)), path)
     named = str(silhouettes) not in (*_MADE, "none")
     views = tuple(View(image.camera, image.photograph, None, image.name) for image in found.images)
     masks, told_masks = _own_masks(found, views, path) if silhouettes == "auto" else ({}, {})
@@ -138,6 +143,7 @@ def open_scene(
             **told_box,
             "source": str(path.resolve()),
             "silhouettes from": str(Path(silhouettes).resolve() if named else silhouettes),
+            **({} if images is None else {"images from": str(Path(images).resolve())}),
         },
     )
     _check_box(scene)
@@ -155,6 +161,18 @@ def open_scene(
 def format_of(path: Path) -> Format | None:
     """The format of what lies at a path, or None."""
     return next((known for known in FORMATS.values() if known.recognises(path)), None)
+
+
+def _read(known: Format, path: Path, images: Path | None) -> Calibrated:
+    """What the files of a format say, of photographs in a folder of their own where one is given."""
+    if images is None:
+        return known.read(path)
+    if not known.images_elsewhere:
+        others = "; ".join(other.sign for other in FORMATS.values() if other.images_elsewhere)
+        raise ArgumentError(f"{path}: images in another folder can be given for {others}, got {known.sign}")
+    if not images.is_dir():
+        raise DataError(f"{images}: expected a folder of photographs")
+    return known.read(path, images)
 
 
 def _right_handed(found: Calibrated, path: Path) -> Calibrated:

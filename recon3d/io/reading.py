@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import codecs
 import json
 import os
 import re
 import warnings
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -27,8 +28,10 @@ IMAGE_FOLDERS = ("images", "image", "input", "rgb", "color", "photos", "")
 UNIT_UNKNOWN = {"unit": "not known; a world unit is taken for a metre"}
 """Note of the formats that have no unit."""
 
-_MOST_TEXT = 512 * 2**20  # bytes of a JSON or XML file
+_MOST_TEXT = 512 * 2**20  # bytes of a text file
 _LARGEST_SIDE = 1_000_000  # pixels
+_FEWEST_BYTES = 8  # that tell UTF-16 without a mark
+_MARKS = {codecs.BOM_UTF8: "utf-8", codecs.BOM_UTF16_LE: "utf-16-le", codecs.BOM_UTF16_BE: "utf-16-be"}
 
 
 def pinhole(fx: float, fy: float, cx: float, cy: float, skew: float = 0.0) -> NDArray[np.float64]:
@@ -164,7 +167,8 @@ def find_images(names: Sequence[str], folders: Iterable[Path], where: str) -> di
     if not best:
         raise DataError(
             f"{where}: none of its {len(names)} photographs is there: looked for {names[0] if names else '-'} in "
-            f"{', '.join(map(str, places)) or 'no folder'}"
+            f"{listed([str(place) for place in places]) or 'no folder'}; if they are elsewhere name their folder "
+            "(--images DIR, images=...)"
         )
     warn_of_missing(missing, where)
     return best
@@ -224,7 +228,7 @@ def read_xml(path: Path) -> ElementTree.Element:
 
 
 def read_text(path: Path, most: int = _MOST_TEXT) -> str:
-    """A text file, UTF-8; other bytes become U+FFFD, to be found wrong where they stand.
+    """A text file, whether UTF-8 or UTF-16, with or without byte-order mark, or else Windows' Western letters.
 
     Parameters
     ----------
@@ -236,7 +240,33 @@ def read_text(path: Path, most: int = _MOST_TEXT) -> str:
     """
     if path.stat().st_size > most:
         raise DataError(f"{path}: expected at most {most} bytes of text, got {path.stat().st_size}")
-    return path.read_bytes().decode("utf-8-sig", errors="replace")
+    content = path.read_bytes()
+    for mark, coding in _MARKS.items():
+        if content.startswith(mark):
+            return content[len(mark) :].decode(coding, errors="replace")
+    for first, coding in ((1, "utf-16-le"), (0, "utf-16-be")):
+        if len(content) >= _FEWEST_BYTES and not any(content[first:_FEWEST_BYTES:2]):
+            return content.decode(coding, errors="replace")
+    try:
+        return content.decode("utf-8")
+    except UnicodeDecodeError:
+        return content.decode("cp1252", errors="replace")
+
+
+def number_fields(text: str, counts: Collection[int]) -> list[str]:
+    """Fields of a line of numbers between blanks, commas or semicolons, in the form that ``float`` reads.
+
+    Commas are decimal ones where semicolons stand between the numbers, or where there are no decimal points and the
+    blanks alone make an expected count of fields. Exponents may be D, as Fortran writes them.
+    """
+    plain = re.sub(r"[()\[\]{}]", " ", text).replace("\u2212", "-")
+    fields = re.split(r"[;\s]+", plain.strip("; \t")) if ";" in plain else [part.strip(",") for part in plain.split()]
+    fields = [field for field in fields if field]
+    if "." not in plain and (";" in plain or len(fields) in counts):
+        fields = [field.replace(",", ".") for field in fields]
+    elif len(fields) not in counts:
+        fields = [field for field in re.split(r"[,;\s]+", plain) if field]
+    return [re.sub(r"(?<=[\d.])[dD](?=[-+]?\d)", "e", field) for field in fields]
 
 
 def numbers(values: Iterable[Any], count: int | tuple[int, ...], where: str) -> NDArray[np.float64]:

@@ -212,7 +212,11 @@ def _wrong_extrinsics(cam_from_world: NDArray[np.float64]) -> str | None:
     if error > ROTATION_TOLERANCE:
         return f"R is not a rotation: R R^T differs from the identity by {error:.3g}"
     if np.linalg.det(R) < 0:
-        return "R is not a rotation: its determinant is -1 (a reflection)"
+        return (
+            "R is not a rotation: its determinant is -1 (a reflection). The world is left-handed, or an axis of the "
+            "camera points the other way: mirror an axis of the world, a column of R in all views and that axis of the "
+            "bounds, or negate that row of R and t"
+        )
     if np.abs(cam_from_world[3] - [0, 0, 0, 1]).max() > 1e-9:
         return "expected the last row 0 0 0 1"
     return None

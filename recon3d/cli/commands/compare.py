@@ -37,6 +37,7 @@ def command(
         int | None, typer.Option(help="At most so many views, after those held out.", rich_help_panel=INPUT)
     ] = None,
     silhouettes: options.Silhouettes = "auto",
+    images: options.Images = None,
     bounds: options.Bounds = None,
     mm_per_unit: options.MmPerUnit = None,
     n_voxels: Annotated[
@@ -80,7 +81,7 @@ def command(
         raise ArgumentError("--valid: expected --ground-truth, too")
     if mm_per_unit is not None:
         require_number("--mm-per-unit", mm_per_unit, "(0, inf)")
-    loaded = load(scene, bounds, silhouettes, mm_per_unit)
+    loaded = load(scene, bounds, silhouettes, mm_per_unit, images)
     measuring: dict[str, Any] = {}
     if ground_truth:
         truth, mask = read_ground_truth(

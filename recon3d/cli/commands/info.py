@@ -15,6 +15,7 @@ def command(
     output: options.Output = None,
     bounds: options.Bounds = None,
     silhouettes: options.Silhouettes = "auto",
+    images: options.Images = None,
 ) -> None:
     """Say what a scene holds and which views can be used together; with --output, draw it."""
     from recon3d.carving.visibility import largest_admissible_views
@@ -23,7 +24,7 @@ def command(
     from recon3d.scene.silhouettes import overlay
     from recon3d.summary import thumbnails
 
-    loaded = load(scene, bounds, silhouettes)
+    loaded = load(scene, bounds, silhouettes, images=images)
     admissible = largest_admissible_views(loaded)
     angles = read_angles(scene) if Path(scene).is_dir() else {}
     say(loaded.summary())

@@ -55,6 +55,7 @@ def command(
         int | None, typer.Option(help="With --views auto: at most so many.", rich_help_panel=INPUT)
     ] = None,
     silhouettes: options.Silhouettes = "auto",
+    images: options.Images = None,
     bounds: options.Bounds = None,
     board: options.Board = None,
     mm_per_unit: options.MmPerUnit = None,
@@ -148,7 +149,7 @@ def command(
         ),
     )
     truth = read_mesh(ground_truth) if ground_truth else None
-    if plain_photographs(scene):
+    if images is None and plain_photographs(scene):
         folder = writable(output or Path("recon3d-output") / Path(scene).resolve().name)
         found = calibrated(Path(scene), folder / "scene", board)
         say(found.summary())
@@ -156,7 +157,7 @@ def command(
     elif board is not None:
         raise ArgumentError(f"--board: {scene} has its own cameras; a board is for photographs alone")
     else:
-        loaded = load(scene, bounds, silhouettes, mm_per_unit)
+        loaded = load(scene, bounds, silhouettes, mm_per_unit, images)
         folder = writable(output or Path("recon3d-output") / loaded.name)
     result = run(loaded, settings, truth, folder / "stages")
     written = save(result, folder, [name.value for name in mesh_format or [_MeshFormat.ply]], pictures=pictures)
