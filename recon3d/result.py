@@ -85,11 +85,11 @@ class Reconstruction(Summarised):
             "recon3d": __version__,
             "versions": {"python": platform.python_version(), **versions()},
             "scene": {
+                **self.scene.notes,  # first: what says where the bounds are from must not replace them
                 "name": self.scene.name,
                 "views": [view.name for view in self.scene.views],
                 "bounds": [list(self.scene.bounds.low), list(self.scene.bounds.high)],
                 "mm_per_unit": self.scene.mm_per_unit,
-                **self.scene.notes,
             },
             "settings": self.settings.record(),
             "volume": {"shape": list(lattice.shape), "voxel_size": lattice.voxel_size, "origin": list(lattice.origin)},

@@ -25,9 +25,10 @@ from recon3d.calibration import Calibration, CalibrationSettings, calibrate
 from recon3d.calibration.epipolar import _without_bridges, firmly_joined
 from recon3d.calibration.features import extract_features, match_features, matched_pairs
 from recon3d.calibration.photographs import PhotoFile, find_photographs
-from recon3d.calibration.result import CalibratedCamera, Observations, similarity
+from recon3d.calibration.result import CalibratedCamera, Observations
 from recon3d.calibration.structure_from_motion import WORK_FOLDER
 from recon3d.calibration.writing import quaternion, undistort, undistorted
+from recon3d.cli.arguments import record_of, recorded_scene
 from recon3d.cli.entry import app
 from recon3d.datasets.synthetic import Camera, photograph, ring
 from recon3d.errors import ArgumentError, CalibrationError, DataError, SceneError
@@ -36,6 +37,7 @@ from recon3d.io.files import write_image
 from recon3d.pipeline import reconstruct
 from recon3d.scene.image_file import read_image
 from recon3d.scene.scene import Scene
+from recon3d.scene.similarity import Similarity
 
 pycolmap = pytest.importorskip("pycolmap")
 
@@ -114,10 +116,10 @@ def pose_errors(found: Sequence[CalibratedCamera], true: Sequence[Camera]) -> tu
     """Largest distance of the centres, in orbit radii, and largest angle, degrees, after a similarity."""
     centers = np.array([camera.center for camera in found])
     expected = np.array([-camera.cam_from_world[:3, :3].T @ camera.cam_from_world[:3, 3] for camera in true])
-    scale, R, t = similarity(centers, expected)
-    distance = np.linalg.norm(scale * centers @ R.T + t - expected, axis=1).max() / 5.0
+    world = Similarity.between(centers, expected)
+    distance = np.linalg.norm(world(centers) - expected, axis=1).max() / 5.0
     turns = [
-        found_camera.cam_from_world[:3, :3] @ R.T @ camera.cam_from_world[:3, :3].T
+        world.camera(found_camera.cam_from_world)[:3, :3] @ camera.cam_from_world[:3, :3].T
         for found_camera, camera in zip(found, true, strict=True)
     ]
     cosines = [np.clip((np.trace(turn) - 1) / 2, -1, 1) for turn in turns]
@@ -229,6 +231,10 @@ def test_plain_photographs_are_calibrated_before_they_are_reconstructed(
     record = json.loads((tmp_path / "record.json").read_text())
     assert record["scene"]["mm_per_unit"] is None
     assert record["scene"]["source"] == str(tmp_path / "scene")
+    known = record_of(tmp_path)
+    assert known is not None
+    assert len(known["bounds"]) == 6
+    assert [view.name for view in recorded_scene(tmp_path, known).views] == record["scene"]["views"]
     with pytest.raises(ArgumentError, match="has its own cameras"):
         CliRunner().invoke(
             app, ["reconstruct", str(tmp_path / "scene"), "--board", "charuco-10x7:25mm"], catch_exceptions=False
@@ -517,15 +523,6 @@ def test_many_photographs_are_matched_with_those_that_they_overlap(
     assert len(set(good) & set(counts[2])) >= 16
 
 
-def test_similarity_is_recovered() -> None:
-    rng = np.random.default_rng(3)
-    points, (R, _) = rng.standard_normal((9, 3)), cv2.Rodrigues(np.array([0.3, -1.2, 0.7]))
-    scale, rotation, shift = similarity(points, 2.5 * points @ R.T + [1, 2, 3])
-    assert scale == pytest.approx(2.5)
-    assert np.allclose(rotation, R)
-    assert np.allclose(shift, [1, 2, 3])
-
-
 @pytest.mark.parametrize("axis_angle", [(0.1, 0.2, 0.3), (np.pi, 0, 0), (0, np.pi, 0), (0, 0, np.pi), (0, 0, 0)])
 def test_quaternion_gives_the_rotation_back(axis_angle: tuple[float, float, float]) -> None:
     R = cv2.Rodrigues(np.array(axis_angle, float))[0]
@@ -539,8 +536,7 @@ def test_temple_is_placed_as_it_was_photographed(real_data: Path, tmp_path: Path
     assert calibration.n_registered == 16
     centers = np.array([camera.center for camera in calibration.cameras])
     expected = np.array([view.center for view in scene.views])
-    scale, R, t = similarity(centers, expected)
-    errors = np.linalg.norm(scale * centers @ R.T + t - expected, axis=1)
+    errors = np.linalg.norm(Similarity.between(centers, expected)(centers) - expected, axis=1)
     assert np.median(errors) < 0.003  # of 0.56 m
     assert calibration.cameras[0].K[0, 0] == pytest.approx(1523, rel=0.02)
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recon3d.scene.bounds import Bounds
+from recon3d.scene.similarity import Similarity
 from recon3d.summary import Summarised
 
 
@@ -135,40 +136,13 @@ def upright_world(calibration: Calibration) -> Calibration:
         x = np.cross(up, np.eye(3)[np.abs(up).argmin()])
     x /= np.linalg.norm(x)
     R = np.stack([x, np.cross(up, x), up])
-    return transformed(calibration, scale, R, -scale * R @ origin)
+    return transformed(calibration, Similarity(scale, R, -scale * R @ origin))
 
 
-def transformed(calibration: Calibration, scale: float, R: NDArray[np.float64], t: NDArray[np.float64]) -> Calibration:
-    """The calibration with world points X (3,) moved to scale * R X + t."""
-
-    def moved(camera: CalibratedCamera) -> CalibratedCamera:
-        pose = np.eye(4)
-        pose[:3, :3] = camera.cam_from_world[:3, :3] @ R.T
-        pose[:3, 3] = scale * camera.cam_from_world[:3, 3] - pose[:3, :3] @ t
-        return replace(camera, cam_from_world=pose)
-
-    return replace(
-        calibration,
-        cameras=tuple(map(moved, calibration.cameras)),
-        points=scale * calibration.points @ R.T + t,
-    )
-
-
-def similarity(
-    source: NDArray[np.float64], target: NDArray[np.float64]
-) -> tuple[float, NDArray[np.float64], NDArray[np.float64]]:
-    """Scale, rotation (3, 3) and shift (3,) that take points (n, 3) to others with the least squared distance.
-
-    References
-    ----------
-    S. Umeyama, "Least-squares estimation of transformation parameters between two point patterns", PAMI 13(4), 1991.
-    """
-    middle, aim = source.mean(axis=0), target.mean(axis=0)
-    U, singular, Vt = np.linalg.svd((target - aim).T @ (source - middle) / len(source))
-    signs = np.array([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))])
-    R = U @ np.diag(signs) @ Vt
-    scale = float(singular @ signs / ((source - middle) ** 2).sum(axis=1).mean())
-    return scale, R, aim - scale * R @ middle
+def transformed(calibration: Calibration, world: Similarity) -> Calibration:
+    """The calibration in another world frame."""
+    cameras = (replace(camera, cam_from_world=world.camera(camera.cam_from_world)) for camera in calibration.cameras)
+    return replace(calibration, cameras=tuple(cameras), points=world(calibration.points))
 
 
 def _lens(camera: CalibratedCamera) -> str:
