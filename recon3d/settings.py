@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from recon3d.carving import METHODS, N_VOXELS, JudgingMethod, Method, suitable_method
+from recon3d.carving import METHODS, N_VOXELS, JudgingMethod, Method, VoteCarving, suitable_method
 from recon3d.carving.start import any_silhouette
 from recon3d.carving.visibility import largest_admissible_views, spread_views
 from recon3d.checks import require_number, require_whole
@@ -39,11 +39,11 @@ class Settings:
     voxel_size: float | None = None
     """Edge length in world units, instead of ``n_voxels``."""
     carving: Method | None = None
-    """One of ``METHODS`` with its options; None: vote carving, or generalised voxel colouring where no silhouettes are
-    known."""
+    """One of ``METHODS`` with its options; None: vote carving, or generalised voxel colouring where neither silhouettes
+    are known nor views can be matched."""
     matching: Literal["auto"] | tuple[Matching, ...] | None = "auto"
     """Passes of dense matching inside the carved volume; None: the mesh is that of the voxels; "auto": ``PASSES`` where
-    carving is left to choose and silhouettes are known, else none."""
+    carving is left to choose and chooses vote carving, else none."""
     meshing: Meshing = field(default_factory=Meshing)
     """How the mesh is made."""
 
@@ -114,7 +114,10 @@ class Settings:
         carving = self.method_for(scene)
         if carving.needs_silhouettes and not any_silhouette(scene):
             raise SceneError(f"scene {scene.name}: {method_name(carving)} needs silhouettes, and no view has one")
-        return replace(self, carving=carving, matching=self.passes_for(scene) or None, n_voxels=self._n_voxels)
+        passes, meshing = self.passes_for(scene), self.meshing
+        if meshing.keep_unsupported is None:
+            meshing = replace(meshing, keep_unsupported=not passes or any_silhouette(scene))
+        return replace(self, carving=carving, matching=passes or None, meshing=meshing, n_voxels=self._n_voxels)
 
     def method_for(self, scene: Scene) -> Method:
         """The carving method that is chosen, or suits a scene."""
@@ -123,7 +126,7 @@ class Settings:
     def passes_for(self, scene: Scene) -> tuple[Matching, ...]:
         """The passes of dense matching that are chosen, or suit a scene; empty: no matching."""
         if self.matching == "auto":
-            return PASSES if self.carving is None and any_silhouette(scene) else ()
+            return PASSES if self.carving is None and isinstance(self.method_for(scene), VoteCarving) else ()
         return self.matching or ()
 
     @property

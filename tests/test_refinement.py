@@ -335,6 +335,16 @@ def test_a_mesh_does_not_depend_on_the_run_nor_on_the_place(
     assert np.abs(np.linalg.norm(vertices[vertices[:, 2] > -0.7], axis=1) - 1).max() < 0.1
 
 
+def test_what_turns_away_from_the_nearest_point_was_not_measured() -> None:
+    plate = box_mesh(1.0, 1.0, 0.02)
+    plate.compute_vertex_normals()
+    cloud = o3d.t.geometry.PointCloud(np.array([[x, y, 0.01] for x in (-0.5, 0.5) for y in (-0.5, 0.5)]))
+    cloud.point.normals = o3d.core.Tensor(np.tile([0.0, 0, 1], (4, 1)))
+    space = MeasuredSpace(cloud, 1.0)
+    assert space.holds(np.asarray(plate.vertices)).all()
+    np.testing.assert_array_equal(space.holds_surface(plate), np.asarray(plate.vertices)[:, 2] > 0)
+
+
 @pytest.mark.parametrize("wrong", [{"surface": "ball-pivoting"}, {"spacing": 0}, {"spacing": np.nan}])
 def test_a_mesh_of_points_wants_a_known_surface_and_a_length(
     hull: CarvedVolume, points: o3d.t.geometry.PointCloud, wrong: dict[str, Any]

@@ -14,7 +14,7 @@ import pytest
 
 import recon3d
 from recon3d import Matching, Meshing, Settings
-from recon3d.carving import METHODS, GeneralizedVoxelColoring, Method, SpaceCarving
+from recon3d.carving import METHODS, Method, SpaceCarving
 from recon3d.consistency import Hysteresis, StandardDeviation
 from recon3d.datasets import BuiltInScene
 from recon3d.errors import ArgumentError, SceneError
@@ -157,8 +157,11 @@ def test_a_methods_impossible_options_are_refused(method: type[Method], bad: dic
 def test_what_auto_means_depends_on_the_silhouettes(temple: BuiltInScene) -> None:
     scene, bare = temple.scene, without_silhouettes(temple.scene)
     known, unknown = Settings().resolved(scene), Settings().resolved(bare)
-    assert known == Settings(n_voxels=1_000_000, carving=recon3d.VoteCarving(), matching=PASSES)
-    assert unknown == Settings(n_voxels=1_000_000, carving=GeneralizedVoxelColoring(), matching=None)
+    assert known == Settings(
+        n_voxels=1_000_000, carving=recon3d.VoteCarving(), matching=PASSES, meshing=Meshing(keep_unsupported=True)
+    )
+    assert unknown == replace(known, meshing=Meshing(keep_unsupported=False))
+    assert Settings(matching=None).resolved(bare).meshing.keep_unsupported is True
     assert known.resolved(scene) == known
     assert Settings(voxel_size=0.1).resolved(scene).n_voxels is None
 
@@ -174,8 +177,9 @@ def test_matching_is_left_out_where_a_method_is_chosen_unless_it_is_asked_for(
 
 def test_what_only_the_scene_tells_to_mean_nothing_is_refused_then(temple: BuiltInScene) -> None:
     bare = without_silhouettes(temple.scene)
+    lone = replace(bare, views=bare.views[:1])
     with pytest.raises(ArgumentError, match="surface='graph-cut': expected matching"):
-        Settings(meshing=Meshing("graph-cut")).resolved(bare)
+        Settings(meshing=Meshing("graph-cut")).resolved(lone)
     with pytest.raises(ArgumentError, match="smoothing: expected matching=None"):
         Settings(meshing=Meshing(smoothing=3)).resolved(temple.scene)
     for method in (method for method in METHODS.values() if method.needs_silhouettes):

@@ -318,7 +318,7 @@ def test_everything_before_a_wall_is_carved_and_that_is_an_error() -> None:
     volume = CarvingVolume.enclosing(scene.bounds, voxel_size=0.05)
     before = volume.with_occupancy(volume.centers()[:, 2].reshape(volume.shape) > 0.5)
     n = before.n_occupied
-    with pytest.raises(EmptyReconstructionError, match=f"scene wall: the votes carved all {n:,} voxels of the hull"):
+    with pytest.raises(EmptyReconstructionError, match=f"scene wall: the votes carved all {n:,} voxels that may be"):
         VoteCarving().carve(scene, before)
 
 

@@ -12,6 +12,7 @@ from recon3d.carving.visibility import SweepDirection, largest_admissible_views,
 from recon3d.carving.visual_hull import VisualHull
 from recon3d.carving.vote_carving import VoteCarving
 from recon3d.carving.voxel_coloring import VoxelColoring
+from recon3d.errors import SceneError
 from recon3d.scene.neighbours import matching_neighbours
 from recon3d.scene.scene import Scene
 from recon3d.tasks import Progress
@@ -36,8 +37,14 @@ N_VOXELS = 1_000_000
 
 
 def suitable_method(scene: Scene) -> Method:
-    """Vote carving where silhouettes are known, else generalised voxel colouring."""
-    return VoteCarving() if any_silhouette(scene) else GeneralizedVoxelColoring()
+    """Vote carving where silhouettes are known or views can be matched, else generalised voxel colouring."""
+    if any_silhouette(scene):
+        return VoteCarving()
+    try:
+        matching_neighbours(scene)
+    except SceneError:
+        return GeneralizedVoxelColoring()
+    return VoteCarving()
 
 
 def carve(

@@ -35,6 +35,19 @@ def clear_around_cameras(occupied: NDArray[np.bool_], scene: Scene, volume: Carv
 _SIDE = 0.05  # pixels that a silhouette's pixel is at least on its side of the outline
 
 
+def start_distance(scene: Scene, volume: CarvingVolume) -> NDArray[np.float32]:
+    """(nx, ny, nz) signed distance of voxel centres to what may be solid, world units, positive inside.
+
+    That of the visual hull where some view has a silhouette; else all but what lies around the cameras, cut off at
+    ``BAND`` voxels.
+    """
+    if any_silhouette(scene):
+        return hull_distance(scene, volume)
+    occupied, limit = volume.occupied.copy(), np.float32(BAND * volume.voxel_size)
+    clear_around_cameras(occupied, scene, volume)
+    return np.where(occupied, limit, -limit)
+
+
 def hull_distance(scene: Scene, volume: CarvingVolume, *, tolerance: int = 0) -> NDArray[np.float32]:
     """(nx, ny, nz) signed distance of voxel centres to the visual hull, world units, positive inside.
 

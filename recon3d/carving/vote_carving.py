@@ -1,9 +1,8 @@
-"""Carving by the votes of neighbouring views: the visual hull, refined by what these agree on."""
+"""Carving by the votes of neighbouring views: the visual hull, or the whole box, refined by what these agree on."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import cv2
 import numpy as np
@@ -12,7 +11,7 @@ from recon3d.carving.depth_votes import MIN_DEVIATION, carve_by_depths, hull_of_
 from recon3d.carving.item_buffer import ItemBuffer
 from recon3d.carving.method import Method
 from recon3d.carving.observer import Observer
-from recon3d.carving.start import hull_distance
+from recon3d.carving.start import start_distance
 from recon3d.carving.visible import color_visible
 from recon3d.checks import require_number
 from recon3d.errors import EmptyReconstructionError
@@ -37,7 +36,8 @@ class _Round:
     stride: int
     """Pixels between matched pixels."""
     reach: float
-    """How deep behind the surface to look, as a fraction of the bounds' shortest side."""
+    """How deep behind the surface to look, as a fraction of the bounds' shortest side; of their diagonal where that is
+    all of it and the background is unknown."""
     step: float
     """Between tried depths, pixel footprints."""
     prior: float
@@ -58,7 +58,7 @@ _ROUNDS = (
 
 @dataclass(frozen=True)
 class VoteCarving(Method):
-    """Carve the visual hull where neighbouring views agree that the surface lies deeper.
+    """Carve the visual hull, or the box, where neighbouring views agree that the surface lies deeper.
 
     A threshold on all pixels of a voxel is set by the two least similar of its views, so it either keeps everything or
     tears true surface. Here each view is matched by itself: along the ray of a pixel, from the present surface inwards,
@@ -67,7 +67,9 @@ class VoteCarving(Method):
     before them, for solid just behind. Voxels without votes are kept, as are unseen cavities.
 
     Two passes: a coarse one, as deep as the bounds' shortest side, for the cavities, a fine one near the surface
-    found. The result lies inside the visual hull, and its distance field gives the surface to a fraction of a voxel.
+    found. Where a view has no silhouette, the coarse one looks as deep as the bounds' diagonal, behind which lies the
+    background. The result lies inside the visual hull of the silhouettes there are, and its distance field gives the
+    surface to a fraction of a voxel. Photographs whose pixels are far below the voxels are read at a smaller scale.
 
     References
     ----------
@@ -75,8 +77,6 @@ class VoteCarving(Method):
     photo-consistency", PAMI 2007 (votes along rays). Curless, Levoy, "A volumetric method for building complex models
     from range images", SIGGRAPH 1996 (truncated signed distances).
     """
-
-    needs_silhouettes: ClassVar[bool] = True
 
     min_score: float = 0.6
     """Mean of the two best normalised cross-correlations that counts as a match, in (-1, 1)."""
@@ -106,18 +106,19 @@ class VoteCarving(Method):
 
         Raises
         ------
-        SceneError : no silhouettes, or no two views that can be matched.
+        SceneError : no two views can be matched.
         EmptyReconstructionError : nothing was left.
         """
         volume = CarvingVolume.full(volume)
         neighbours = matching_neighbours(scene)
-        views = scene.packed
-        hull_field = hull_distance(scene, volume)
-        inside_hull = volume.occupied & (hull_field > 0)
-        field = np.where(volume.occupied, hull_field, np.minimum(hull_field, -volume.voxel_size))
-        # Below a few pixels, smaller voxels do not make the photographs say more.
-        resolution = max(volume.voxel_size, _FINEST * scene.pixel_footprint)
-        matcher = _Matcher(scene, volume, views, neighbours, self.min_score, resolution)
+        # Smaller pixels do not make voxels say more, nor do voxels below a few pixels make the photographs.
+        shrink = max(1, int(volume.voxel_size / (_FINEST * scene.pixel_footprint)))
+        views, footprint = scene.packed_at(1 / shrink), shrink * scene.pixel_footprint
+        resolution = max(volume.voxel_size, _FINEST * footprint)
+        start_field = start_distance(scene, volume)
+        inside = volume.occupied & (start_field > 0)
+        field = np.where(volume.occupied, start_field, np.minimum(start_field, -volume.voxel_size))
+        matcher = _Matcher(scene, volume, views, neighbours, self.min_score, resolution, footprint)
         for n, each in enumerate(_ROUNDS):
             buffer = ItemBuffer(views, volume)
             buffer.advance(field > 0)
@@ -130,9 +131,9 @@ class VoteCarving(Method):
 
         if not (field > 0).any():
             raise EmptyReconstructionError(
-                f"scene {scene.name}: the votes carved all {inside_hull.sum():,} voxels of the hull"
+                f"scene {scene.name}: the votes carved all {inside.sum():,} voxels that may be solid"
             )
-        labels = np.where(volume.occupied, np.where(inside_hull, Label.INCONSISTENT, Label.BACKGROUND), Label.UNSEEN)
+        labels = np.where(volume.occupied, np.where(inside, Label.INCONSISTENT, Label.BACKGROUND), Label.UNSEEN)
         hull = hull_of_field(field, labels, volume)
         color_visible(hull, ItemBuffer(views, volume), field > 0)
         return hull
@@ -148,6 +149,8 @@ class _Matcher:
     neighbours: list[list[int]]
     min_score: float
     resolution: float
+    footprint: float
+    """Of a pixel, world units."""
 
     def depth_maps(self, buffer: ItemBuffer, each: _Round) -> DepthMaps:
         """Confirmed depths, with weights of 0 where there are none."""
@@ -157,7 +160,9 @@ class _Matcher:
         depths = np.zeros(items.shape, np.float32)
         weights = np.zeros(items.shape, np.float32)
         window = Window(each.radius, each.spacing, MIN_DEVIATION)
-        reach = each.reach * float(min(self.scene.bounds.extent))
+        extent = self.scene.bounds.extent
+        unknown = each.reach == 1 and not all(view.has_silhouette for view in self.scene.views)
+        reach = each.reach * float(np.linalg.norm(extent) if unknown else min(extent))
         for n, others in enumerate(self.neighbours):
             rows, columns = np.nonzero(items[n] >= 0)
             voxels = np.column_stack(np.unravel_index(items[n][rows, columns], self.volume.shape))
@@ -167,7 +172,7 @@ class _Matcher:
             if others:
                 compared = Compared.between(grey[n], cameras.at(n), grey[others], cameras.part(others))
                 pixels = each.stride * np.column_stack([columns, rows])
-                tried = Tried(entry - 1.5 * size, entry + reach, each.step * self.scene.pixel_footprint)
+                tried = Tried(entry - 1.5 * size, entry + reach, each.step * self.footprint)
                 best_depths(compared, window, pixels, tried, found, score)
             good = score > self.min_score
             depths[n, rows[good], columns[good]] = found[good]

@@ -15,6 +15,7 @@ from scipy.ndimage import distance_transform_edt
 from recon3d import tasks
 from recon3d.carving.depth_votes import carve_by_depths, hull_of_field
 from recon3d.carving.item_buffer import ItemBuffer
+from recon3d.carving.start import any_silhouette
 from recon3d.carving.visible import color_visible
 from recon3d.errors import ArgumentError
 from recon3d.kernels.types import DepthMaps
@@ -42,6 +43,10 @@ _BLUR = 1.0  # of the votes, voxels
 
 
 _TRUNCATION = 4.0  # voxels before and behind a depth where it is evidence
+
+_MARGIN = 0.02  # of the bounds' longest side: what lies so near to a face may be on it
+
+_FACING = 0.5  # cosine of the angle to a face's normal below which a surface does not face it
 
 
 class Refinement(NamedTuple):
@@ -131,7 +136,21 @@ def _pass(
     carved = _carve(scene, hull, depth_maps, fusion, matching)
     if colored:
         color_visible(carved, ItemBuffer(scene.packed, carved.volume), carved.with_interior.occupied)
-    return Refinement(fusion.cloud(), carved)
+    points = fusion.cloud()
+    return Refinement(points if any_silhouette(scene) else _within(points, scene), carved)
+
+
+def _within(points: o3d.t.geometry.PointCloud, scene: Scene) -> o3d.t.geometry.PointCloud:
+    """The points without the background: what lies beyond the bounds, or on one of their faces, as a floor does.
+
+    Next to a face of the bounds an object turns its outside towards the face; what turns it inwards is background.
+    """
+    places, normals = points.point.positions.numpy(), points.point.normals.numpy()
+    inner = scene.bounds.padded(-_MARGIN * scene.bounds.longest)
+    low, high = places < inner.low, places > inner.high
+    background = ((places < scene.bounds.low) | (places > scene.bounds.high)).any(axis=1)
+    background |= ((low & (normals > _FACING)) | (high & (normals < -_FACING))).any(axis=1)
+    return points.select_by_mask(o3d.core.Tensor.from_numpy(~background))
 
 
 _OF_POINTS = ("positions", "normals", "colors", "confidence")

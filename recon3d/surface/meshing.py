@@ -25,8 +25,9 @@ class Meshing:
 
     surface: Surface = "poisson"
     """Of points: "poisson" or "graph-cut"."""
-    keep_unsupported: bool = True
-    """Keep unmeasured surface, such as the underside that no view sees, so that the mesh is closed.
+    keep_unsupported: bool | None = None
+    """Keep unmeasured surface, such as the underside that no view sees, so that the mesh is closed; None: where
+    silhouettes bound it, or no points were matched.
     Surface of voxels is measured where a view sees it, surface of points where two views found it."""
     fill_hidden: bool = False
     """Of voxels carved by a one-sided method: mesh what lies hidden behind them, too; solid, but partly guessed."""
@@ -38,7 +39,8 @@ class Meshing:
 
     def __post_init__(self) -> None:
         require_choice("surface", self.surface, get_args(Surface))
-        require_flag("keep_unsupported", self.keep_unsupported)
+        if self.keep_unsupported is not None:
+            require_flag("keep_unsupported", self.keep_unsupported)
         require_flag("fill_hidden", self.fill_hidden)
         if self.smoothing is not None:
             require_whole("smoothing", self.smoothing, least=0)
@@ -51,7 +53,8 @@ class Meshed(NamedTuple):
     mesh: o3d.geometry.TriangleMesh
     """Manifold, normals outwards, without colours; closed, but for small holes that Poisson may leave."""
     measured: NDArray[np.bool_]
-    """(n_vertices,) whether a matched point lies near a vertex; True throughout a mesh of voxels."""
+    """(n_vertices,) whether a matched point lies near a vertex and faces where it does; True throughout a mesh of
+    voxels."""
     repairs: Repairs
     """What was wrong with it before."""
 
@@ -90,8 +93,8 @@ def mesh(
         found = _mesh_of_voxels(carved, _SMOOTHING if meshing.smoothing is None else meshing.smoothing,
                                 shell=one_sided and not meshing.fill_hidden)  # fmt: skip
     sound, repairs, _ = repair_mesh(found, min_area=meshing.min_component * lattice.voxel_size**2)
-    places = np.asarray(sound.vertices)
-    return Meshed(sound, np.ones(len(places), np.bool_) if measured is None else measured.holds(places), repairs)
+    everywhere = np.ones(len(sound.vertices), np.bool_)
+    return Meshed(sound, everywhere if measured is None else measured.holds_surface(sound), repairs)
 
 
 def _mesh_of_voxels(carved: Carved, smoothing: int, *, shell: bool) -> o3d.geometry.TriangleMesh:

@@ -21,6 +21,9 @@ Surface = Literal["poisson", "graph-cut"]
 _REACH = 2.0  # spacings from a point within which the surface is measured
 
 
+_FACING = 0.5  # cosine of the largest angle between a measured surface's normal and the nearest point's
+
+
 _MARGIN = 1.1  # of Poisson's cube around the points
 
 
@@ -29,18 +32,29 @@ class MeasuredSpace:
 
     Parameters
     ----------
-    points : with ``positions`` (n, 3), world units.
+    points : with ``positions`` (n, 3), world units, and ``normals`` (n, 3), unit, if surfaces are asked for.
     spacing : between points, world units.
     """
 
     def __init__(self, points: o3d.t.geometry.PointCloud, spacing: float) -> None:
-        self._tree = cKDTree(points.point.positions.numpy())
+        self._tree, self._points = cKDTree(points.point.positions.numpy()), points
         self._reach = _REACH * spacing
 
     def holds(self, places: NDArray[np.float64]) -> NDArray[np.bool_]:
         """(n,) which world positions (n, 3) lie in it."""
         distance, _ = self._tree.query(places, distance_upper_bound=self._reach, workers=-1)
         return np.asarray(np.isfinite(distance))
+
+    def holds_surface(self, mesh: o3d.geometry.TriangleMesh) -> NDArray[np.bool_]:
+        """(n_vertices,) which vertices lie in it and face where the nearest point does.
+
+        What closes a mesh turns away from the points at their rim. The mesh has vertex normals.
+        """
+        distance, nearest = self._tree.query(np.asarray(mesh.vertices), distance_upper_bound=self._reach, workers=-1)
+        measured: NDArray[np.bool_] = np.isfinite(distance)
+        normals = self._points.point.normals.numpy()[nearest[measured]]
+        measured[measured] = np.einsum("ij,ij->i", normals, np.asarray(mesh.vertex_normals)[measured]) > _FACING
+        return measured
 
 
 def mesh_points(

@@ -78,7 +78,7 @@ def command(
         _Matching,
         typer.Option(
             help="dense: mesh of points that are matched inside the carved voxels; none: of the voxels themselves; "
-            "auto: dense where --method is auto and silhouettes are known.",
+            "auto: dense where --method is auto.",
             rich_help_panel=MATCHING,
         ),
     ] = _Matching.auto,
@@ -86,12 +86,13 @@ def command(
         _Surface, typer.Option(help="How a mesh is made of matched points.", rich_help_panel=SURFACE)
     ] = _Surface.poisson,
     keep_unsupported: Annotated[
-        bool,
+        bool | None,
         typer.Option(
             help="Keep surface that was not measured, filled from the hull, so that the mesh is closed.",
+            show_default="where silhouettes are known",
             rich_help_panel=SURFACE,
         ),
-    ] = True,
+    ] = None,
     ground_truth: Annotated[
         Path | None, typer.Option(metavar="MESH", help="Measure against this mesh.", rich_help_panel=MEASURING)
     ] = None,
