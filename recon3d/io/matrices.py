@@ -18,7 +18,7 @@ import warnings
 from collections.abc import Iterator
 from itertools import islice
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,6 +81,9 @@ def read_matrices(path: Path) -> Calibrated:
     if not files:
         raise DataError(f"{path}: expected projection matrices, 3x4 numbers each")
     held = {file: list(islice(_matrices(file), _MANY)) for file in files}
+    empty = next((file for file in files if not held[file]), None)
+    if empty is not None:
+        raise DataError(f"{empty}: expected a projection matrix of 3x4 numbers, got none")
     whole = [file for file in files if len(held[file]) > 1]
     if len(whole) > 1:
         raise DataError(
@@ -202,7 +205,7 @@ def _matrices(file: Path) -> Iterator[_Matrix]:
     if suffix == ".npy":
         try:
             arrays = {"": np.load(file, mmap_mode="r", allow_pickle=False)}
-        except (ValueError, OSError, EOFError) as error:
+        except Exception as error:  # NumPy raises whatever a malformed header leads it to
             raise DataError(f"{file}: not readable as NPY: {error}") from None
     else:
         arrays = read_mat(file)
@@ -219,8 +222,8 @@ def _matrices(file: Path) -> Iterator[_Matrix]:
 def _of_array(array: NDArray[np.generic]) -> list[NDArray[np.generic]]:
     """The matrices in an array (n, 3, 4), (3, 4, n), (n, 12), (3 n, 4) or of arrays; empty where it holds none."""
     if array.dtype == object:
-        cells = [np.asarray(cell) for cell in array.ravel()]
-        return cells if all(cell.shape in ((3, 4), (4, 4)) for cell in cells) else []
+        cells: list[Any] = list(array.ravel(order="F"))
+        return cells if all(cell is not None and cell.shape in ((3, 4), (4, 4)) for cell in cells) else []
     if not np.issubdtype(array.dtype, np.number) or np.iscomplexobj(array):
         return []
     if array.shape in ((3, 4), (4, 4)):

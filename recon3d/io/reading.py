@@ -126,8 +126,11 @@ def find_image(folder: Path, name: str) -> Path | None:
         tails = ("/".join(parts[n:]) for n in range(len(parts)))
         return next((there for tail in tails if tail and (there := find_image(folder, tail))), None)
     path = folder / plain
-    if path.is_file():
-        return path
+    try:
+        if path.is_file():
+            return path
+    except (OSError, ValueError):  # no name that a file can have
+        return None
     near = _listing(path.parent)
     names = [entry.name.casefold() for entry in near]
     stems = [entry.stem.casefold() for entry in near]
@@ -279,7 +282,7 @@ def numbers(values: Iterable[Any], count: int | tuple[int, ...], where: str) -> 
     expected = (count,) if isinstance(count, int) else count
     try:
         array = np.array([float(value) for value in _flat(values)])
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise DataError(f"{where}: expected {' or '.join(map(str, expected))} numbers, got {values!r:.200}") from None
     if len(array) not in expected or not np.isfinite(array).all():
         raise DataError(
