@@ -9,4 +9,5 @@ ruff check
 ruff format --check
 mypy
 lint-imports
-exec pytest "$@"
+# A worker a core, four at most: each needs a gigabyte; a file stays with one worker, for its fixtures.
+exec pytest -n logical --maxprocesses 4 --dist loadfile "$@"
