@@ -407,6 +407,45 @@ def test_files_of_matrices_may_be_called_after_the_photographs_number(scene: Sce
     assert farthest_apart(opened(tmp_path, scene), scene) < 1e-6
 
 
+@pytest.mark.parametrize("form", FOREIGN)
+def test_photographs_may_lie_elsewhere(scene: Scene, tmp_path: Path, form: str) -> None:
+    write, K = FOREIGN[form]
+    scene = taken_by(scene, K)
+    write(scene, tmp_path / "set")
+    (tmp_path / "photographs").mkdir()
+    for image in (*(tmp_path / "set").rglob("*.png"), *(tmp_path / "set").rglob("*.ppm")):
+        image.rename(tmp_path / "photographs" / image.name)
+    with pytest.raises(DataError):
+        open_scene(tmp_path / "set")
+    read = open_scene(tmp_path / "set", bounds=scene.bounds, silhouettes="none", images=tmp_path / "photographs")
+    assert len(read.views) == 8
+    assert read.name == "set"
+
+
+def test_matrices_are_read_as_people_write_them(scene: Scene, tmp_path: Path) -> None:
+    write_named_lines(scene, tmp_path)
+    scene = taken_by(scene, scene.views[0].K)
+    file = tmp_path / "cameras.txt"
+    plain = file.read_text().replace(".png ", ".png: ")
+    ways = (
+        plain.encode("utf-16"),
+        plain.replace("\n", "\r\n").encode("utf-8-sig"),
+        "\n".join(
+            line if "png" not in line else line.split(": ")[0] + ": " + line.split(": ")[1].replace(".", ",")
+            for line in plain.splitlines()
+        ).encode(),
+        plain.replace(" ", ", ").replace("#, name, P", "# name P").encode(),
+        "\n".join(
+            line.replace(": ", ": [").replace("png: [", "png [") + "]" for line in plain.splitlines()[2:]
+        ).encode(),
+    )
+    for content in ways:
+        file.write_bytes(content)
+        read = open_scene(tmp_path, bounds=scene.bounds, silhouettes="none")
+        read = replace(read, views=read.views[::-1])
+        assert farthest_apart(read, scene) < 1e-6, content[:80]
+
+
 def test_an_empty_file_of_a_matrix_is_named(scene: Scene, tmp_path: Path) -> None:
     write_pmvs(scene, tmp_path)
     (tmp_path / "txt/00000003.txt").write_text("")

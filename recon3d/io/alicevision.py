@@ -50,8 +50,12 @@ def is_alicevision(path: Path) -> bool:
     return bool(_files(path))
 
 
-def read_alicevision(path: Path) -> Calibrated:
+def read_alicevision(path: Path, images: Path | None = None) -> Calibrated:
     """Views that have a pose, their photographs and the points.
+
+    Parameters
+    ----------
+    images : folder of the photographs, where they lie elsewhere.
 
     Raises
     ------
@@ -87,17 +91,18 @@ def read_alicevision(path: Path) -> Calibrated:
         raise DataError(f"{file}: expected a view whose pose and intrinsics are there, got none")
     places = [place / name for place in (file.parent, file.parent.parent) for name in IMAGE_FOLDERS]
     places += [Path(name).parent for name in views if Path(name).is_absolute()][:1]
-    images = {}
+    places = [images] if images else places
+    calibrated = {}
     for name, image in find_images(list(views), places, str(file)).items():
         view, where = views[name], f"{file}: view {name}"
-        images[image] = _image(image, lenses[str(view["intrinsicId"])], poses[str(view["poseId"])], version, where)
+        calibrated[image] = _image(image, lenses[str(view["intrinsicId"])], poses[str(view["poseId"])], version, where)
     notes = {"format": f"AliceVision ({file.name})", **UNIT_UNKNOWN}
     if left_out:
         notes["left out"] = f"{len(left_out)} views without a pose: {listed(left_out)}"
     structure = entries(content, "structure", str(file)) if content.get("structure") else []
     points = [numbers((point.get("X"),), 3, f"{file}: point {n}") for n, point in enumerate(structure)]
     return Calibrated(
-        file.parent.resolve().name, views_named(images), points=np.array(points) if points else None, notes=notes
+        file.parent.resolve().name, views_named(calibrated), points=np.array(points) if points else None, notes=notes
     )
 
 

@@ -48,8 +48,12 @@ def is_bouguet(path: Path) -> bool:
     return _file(path) is not None
 
 
-def read_bouguet(path: Path) -> Calibrated:
+def read_bouguet(path: Path, images: Path | None = None) -> Calibrated:
     """Cameras and photographs; images that were not used in the calibration are left out.
+
+    Parameters
+    ----------
+    images : folder of the photographs, where they lie elsewhere.
 
     Raises
     ------
@@ -66,8 +70,9 @@ def read_bouguet(path: Path) -> Calibrated:
     width, height = (whole(_vector(values, side, 1, file)[0], f"{file}: {side}") for side in ("nx", "ny"))
     keys = sorted(int(name.removeprefix("omc_")) for name in values if re.fullmatch(r"omc_\d{1,6}", name))
     used = [key for key in keys if not {"nan"} & {word.lower() for word in values[f"omc_{key}"]}]
-    photographs = next((files for name in IMAGE_FOLDERS if (files := image_files(file.parent / name))), [])
-    images = {}
+    folders = [images] if images else [file.parent / name for name in IMAGE_FOLDERS]
+    photographs = next((files for files in map(image_files, folders) if files), [])
+    calibrated = {}
     for key, image in numbered(keys, photographs, str(file)).items():
         if key not in used:
             continue
@@ -75,15 +80,15 @@ def read_bouguet(path: Path) -> Calibrated:
         pose = np.column_stack([np.asarray(cv2.Rodrigues(turn)[0], np.float64), t])
         photograph = photograph_of(image, (width, height), stored=True)
         K, where = pinhole(fx, fy, cx, cy, skew), f"{file}: image {key}"
-        images[image] = CalibratedImage(
+        calibrated[image] = CalibratedImage(
             "", photograph, camera_of(K, pose, (width, height), photograph, where, distortion)
         )
-    if not images:
+    if not calibrated:
         raise DataError(f"{file}: expected omc_1, Tc_1 and so on of at least one image and its photograph, found none")
     notes = {"format": "Bouguet", **UNIT_UNKNOWN}
     if len(used) < len(keys):
         notes["left out"] = f"not calibrated: images {listed([str(key) for key in keys if key not in used])}"
-    return Calibrated(file.parent.resolve().name, views_named(images), notes=notes)
+    return Calibrated(file.parent.resolve().name, views_named(calibrated), notes=notes)
 
 
 def _file(path: Path) -> Path | None:

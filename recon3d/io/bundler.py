@@ -86,8 +86,12 @@ def is_bundler(path: Path) -> bool:
     return _file(path) is not None
 
 
-def read_bundler(path: Path) -> Calibrated:
+def read_bundler(path: Path, images: Path | None = None) -> Calibrated:
     """Registered cameras, their photographs and the points.
+
+    Parameters
+    ----------
+    images : folder of the photographs, where they lie elsewhere.
 
     Raises
     ------
@@ -98,12 +102,13 @@ def read_bundler(path: Path) -> Calibrated:
         raise DataError(f"{path}: expected a bundle.out of Bundler")
     cameras, points = _read(file)
     scene = file.parent.parent if file.parent.name in _FOLDERS else file.parent
-    places = dict.fromkeys((file.parent, scene))
-    photographs, note = _photographs(len(cameras), [*places], file)
-    images = {
+    places = list(dict.fromkeys((file.parent, scene)))
+    folders = [images] if images else [place / name for place in places for name in IMAGE_FOLDERS]
+    photographs, note = _photographs(len(cameras), places, folders, file)
+    calibrated = {
         image: _image(image, cameras[n], f"{file}: camera {n}") for n, image in photographs.items() if cameras[n].focal
     }
-    if not images:
+    if not calibrated:
         raise DataError(f"{file}: expected a registered camera whose photograph is there, got none")
     notes = {
         "format": f"Bundler ({file.name})",
@@ -114,7 +119,9 @@ def read_bundler(path: Path) -> Calibrated:
     lost = [str(n) for n, camera in enumerate(cameras) if not camera.focal]
     if lost:
         notes["left out"] = f"cameras that are not registered: {listed(lost)}"
-    return Calibrated(scene.resolve().name, views_named(images), points=points if len(points) else None, notes=notes)
+    return Calibrated(
+        scene.resolve().name, views_named(calibrated), points=points if len(points) else None, notes=notes
+    )
 
 
 def _file(path: Path) -> Path | None:
@@ -152,9 +159,8 @@ def _read(file: Path) -> tuple[list[_Camera], NDArray[np.float64]]:
     return cameras, np.array(points).reshape(-1, 3)
 
 
-def _photographs(n: int, places: list[Path], file: Path) -> tuple[dict[int, Path], dict[str, str]]:
+def _photographs(n: int, places: list[Path], folders: list[Path], file: Path) -> tuple[dict[int, Path], dict[str, str]]:
     """Photographs by the cameras' numbers: those of the list, or in the order of their names, and then a note of it."""
-    folders = [place / name for place in places for name in IMAGE_FOLDERS]
     beside = (place / name for place in places for name in _LISTS)
     table = next((table for table in beside if table.is_file()), None)
     if table is None:

@@ -36,6 +36,7 @@ from recon3d.io.reading import (
     in_order,
     listed,
     natural,
+    number_fields,
     numbered,
     read_text,
     views_named,
@@ -52,6 +53,10 @@ _MOST = 16 * 2**20  # bytes of a file
 _MANY = 100_000  # files of a folder, and matrices
 _SKEWED = 0.3  # of the focal length
 _UNEVEN = 5.0  # ratio of the focal lengths
+_COUNTS = (4, 12, 16)  # numbers of a line
+_NAMED = re.compile(
+    rf"(\S.*?(?:{'|'.join(map(re.escape, sorted(IMAGE_SUFFIXES)))}))(?:[\s,;:]+(.*)|)", re.IGNORECASE | re.DOTALL
+)
 _ADDED = re.compile(r"([._-](P|proj(ection)?|cam(era)?|matrix|calib))+$", re.IGNORECASE)
 
 
@@ -70,8 +75,12 @@ def is_matrices(path: Path) -> bool:
     return bool(_files(path))
 
 
-def read_matrices(path: Path) -> Calibrated:
+def read_matrices(path: Path, images: Path | None = None) -> Calibrated:
     """Cameras and photographs.
+
+    Parameters
+    ----------
+    images : folder of the photographs, where they lie elsewhere.
 
     Raises
     ------
@@ -91,7 +100,7 @@ def read_matrices(path: Path) -> Calibrated:
             f"more: {', '.join(file.name for file in whole[:5])}; give the one that is meant"
         )
     scene = files[0].parent.parent if files[0].parent.name in _FOLDERS else files[0].parent
-    folders = [place / name for place in (scene, files[0].parent) for name in _PHOTOGRAPHS]
+    folders = [images] if images else [place / name for place in (scene, files[0].parent) for name in _PHOTOGRAPHS]
     if whole:
         pairs = _pairs(held[whole[0]], folders, str(whole[0]))
     else:
@@ -104,17 +113,17 @@ def read_matrices(path: Path) -> Calibrated:
             f"{next(iter(matrices))}: the left 3x3 parts are rotations: these are poses [R | t] alone, without K; give "
             "K and the poses to recon3d.Scene.from_arrays, or write P = K [R | t]"
         )
-    images = {}
+    calibrated = {}
     for image, (where, _, _) in pairs.items():
         photograph = Photograph(image)
         try:
             camera = Camera.from_projection(matrices[where], *photograph.size)
         except ValueError as error:
             raise DataError(f"{where}: {error}") from None
-        images[image] = CalibratedImage("", photograph, camera)
+        calibrated[image] = CalibratedImage("", photograph, camera)
     return Calibrated(
         scene.resolve().name,
-        views_named(images),
+        views_named(calibrated),
         left_handed=left_handed,
         notes={"format": f"projection matrices ({(whole or files)[0].suffix[1:]})", **UNIT_UNKNOWN},
     )
@@ -243,17 +252,15 @@ def _of_text(file: Path) -> Iterator[_Matrix]:
     name, begun = "", str(file)
     rows: list[NDArray[np.float64]] = []
     for number, line in enumerate(read_text(file, _MOST).splitlines(), start=1):
-        words = re.split(r"[\s,;]+", re.sub(r"(#|%|//).*", "", line).strip(" \t,;[]()"))
-        where = f"{file}:{number}"
-        if words == [""] or words[0].upper() == "CONTOUR":
+        plain, where = re.sub(r"(#|%|//).*", "", line).strip(), f"{file}:{number}"
+        if named := _NAMED.fullmatch(plain):
+            name, plain = named[1], named[2] or ""
+        words = number_fields(plain, _COUNTS)
+        if not words or plain.upper() == "CONTOUR":
             continue
-        if Path(words[0]).suffix.lower() in IMAGE_SUFFIXES:
-            name = words.pop(0)
-            if not words:
-                continue
         if len(words) == 1 and not rows and words[0].isdecimal():
             continue  # how many there are
-        if len(words) not in (4, 12, 16):
+        if len(words) not in _COUNTS:
             raise DataError(f"{where}: expected 4, 12 or 16 numbers, got {line.strip():.80}")
         try:
             values = np.array([float(word) for word in words])

@@ -68,12 +68,12 @@ FORMATS: dict[str, Format] = {
     "metashape": Format(is_metashape, read_metashape, "cameras.xml (Metashape)", True),
     "open3d": Format(is_open3d, read_open3d, "a PinholeCameraTrajectory (Open3D)"),
     "opencv": Format(is_opencv_storage, read_opencv_storage, "K, rvec and tvec as YAML or XML (OpenCV)", True),
-    "openmvg": Format(is_openmvg, read_openmvg, "sfm_data.json (OpenMVG)"),
-    "alicevision": Format(is_alicevision, read_alicevision, "cameras.sfm or sfm.json (AliceVision, Meshroom)"),
-    "strecha": Format(is_strecha, read_strecha, "*.camera (Strecha)"),
-    "bouguet": Format(is_bouguet, read_bouguet, "Calib_Results.m (Bouguet)"),
-    "matrices": Format(is_matrices, read_matrices, "3x4 projection matrices, .txt, .npy or .mat (PMVS, VGG)"),
-    "bundler": Format(is_bundler, read_bundler, "bundle.out (Bundler)"),
+    "openmvg": Format(is_openmvg, read_openmvg, "sfm_data.json (OpenMVG)", True),
+    "alicevision": Format(is_alicevision, read_alicevision, "cameras.sfm or sfm.json (AliceVision, Meshroom)", True),
+    "strecha": Format(is_strecha, read_strecha, "*.camera (Strecha)", True),
+    "bouguet": Format(is_bouguet, read_bouguet, "Calib_Results.m (Bouguet)", True),
+    "matrices": Format(is_matrices, read_matrices, "3x4 projection matrices, .txt, .npy or .mat (PMVS, VGG)", True),
+    "bundler": Format(is_bundler, read_bundler, "bundle.out (Bundler)", True),
 }
 
 _MADE = {

@@ -48,8 +48,12 @@ def is_openmvg(path: Path) -> bool:
     return bool(_files(path))
 
 
-def read_openmvg(path: Path) -> Calibrated:
+def read_openmvg(path: Path, images: Path | None = None) -> Calibrated:
     """Views that have a pose, their photographs and the points.
+
+    Parameters
+    ----------
+    images : folder of the photographs, where they lie elsewhere.
 
     Raises
     ------
@@ -78,18 +82,18 @@ def read_openmvg(path: Path) -> Calibrated:
     if not taken:
         raise DataError(f"{file}: expected a view whose pose and intrinsics are there, got none")
     root = str(content.get("root_path", ""))
-    places = [*_places(file), *([Path(root)] if root and Path(root).is_absolute() else [])]
-    images = {}
+    places = [images] if images else [*_places(file), *([Path(root)] if root and Path(root).is_absolute() else [])]
+    calibrated = {}
     for name, image in find_images(list(taken), places, str(file)).items():
         view, where = views[taken[name]], f"{file}: view {taken[name]} ({name})"
-        images[image] = _image(image, lenses[str(view["id_intrinsic"])], poses[str(view["id_pose"])], where)
+        calibrated[image] = _image(image, lenses[str(view["id_intrinsic"])], poses[str(view["id_pose"])], where)
     notes = {"format": f"OpenMVG ({file.name})", **UNIT_UNKNOWN}
     if left_out:
         notes["left out"] = f"{len(left_out)} views without a pose: {listed(left_out)}"
     structure = _by_key(content, "structure", file) if content.get("structure") else {}
     points = [numbers((point.get("X"),), 3, f"{file}: point {key}") for key, point in structure.items()]
     return Calibrated(
-        _scene(file).resolve().name, views_named(images), points=np.array(points) if points else None, notes=notes
+        _scene(file).resolve().name, views_named(calibrated), points=np.array(points) if points else None, notes=notes
     )
 
 

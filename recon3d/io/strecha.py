@@ -41,8 +41,12 @@ def is_strecha(path: Path) -> bool:
     return bool(_files(path))
 
 
-def read_strecha(path: Path) -> Calibrated:
+def read_strecha(path: Path, images: Path | None = None) -> Calibrated:
     """Cameras and photographs.
+
+    Parameters
+    ----------
+    images : folder of the photographs, where they lie elsewhere.
 
     Raises
     ------
@@ -52,10 +56,10 @@ def read_strecha(path: Path) -> Calibrated:
     if not files:
         raise DataError(f"{path}: expected files *.camera")
     scene = files[0].parent if files[0].parent.name not in _FOLDERS else files[0].parent.parent
-    places = [place / name for place in (scene, files[0].parent) for name in IMAGE_FOLDERS]
+    places = [images] if images else [place / name for place in (scene, files[0].parent) for name in IMAGE_FOLDERS]
     found = find_images([file.stem for file in files], places, str(files[0].parent))
-    images = {found[file.stem]: _image(found[file.stem], file) for file in files if file.stem in found}
-    return Calibrated(scene.resolve().name, views_named(images), notes={"format": "Strecha", **UNIT_UNKNOWN})
+    calibrated = {found[file.stem]: _image(found[file.stem], file) for file in files if file.stem in found}
+    return Calibrated(scene.resolve().name, views_named(calibrated), notes={"format": "Strecha", **UNIT_UNKNOWN})
 
 
 def _files(path: Path) -> list[Path]:

@@ -33,11 +33,12 @@ def command(
     silhouettes: options.Silhouettes = "auto",
     bounds: options.Bounds = None,
     mm_per_unit: options.MmPerUnit = None,
+    images: options.Images = None,
 ) -> None:
     """Write a scene in another program's format: undistorted photographs, cameras, masks, bounds."""
     from recon3d.io import write_scene
 
-    loaded = load(scene, bounds, silhouettes, mm_per_unit)
+    loaded = load(scene, bounds, silhouettes, mm_per_unit, images=images)
     with progress() as report:
         report("writing", 0, 1)
         written = write_scene(loaded, output, to.value)
