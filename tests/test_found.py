@@ -21,7 +21,7 @@ from recon3d.errors import ArgumentError, DataError, SceneError
 from recon3d.io import open_scene, write_middlebury
 from recon3d.io.files import write_image
 from recon3d.scene.bounds import Bounds
-from recon3d.scene.enclosing import enclosing_box, looked_at
+from recon3d.scene.enclosing import enclosing_box, looked_at, silhouettes_explained
 from recon3d.scene.scene import Scene
 from recon3d.scene.view import View
 
@@ -292,3 +292,60 @@ def test_where_the_background_is_not_dark_and_the_box_was_found_there_are_no_sil
     with pytest.warns(UserWarning, match=r"a background that is not dark.*no silhouettes are made"):
         read = open_scene(bare)
     assert not any(view.has_silhouette for view in read.views)
+
+
+def test_inverted_masks_are_recognised_and_said(temple: BuiltInScene, bare: Path, tmp_path: Path) -> None:
+    for folder in (bare / "masks", tmp_path / "elsewhere"):
+        for view in temple.scene.views:
+            assert view.silhouette is not None
+            write_image(folder / view.name, ~view.silhouette)
+    with pytest.warns(UserWarning, match="masks are white all around and black in the middle: black is taken"):
+        assert same_masks(open_scene(bare), temple.scene)
+    with pytest.warns(UserWarning, match="elsewhere: its masks are white all around"):
+        assert same_masks(open_scene(bare, silhouettes=tmp_path / "elsewhere"), temple.scene)
+
+
+def test_masks_of_an_object_that_fills_the_frame_are_not_inverted(temple: BuiltInScene, bare: Path) -> None:
+    for view in temple.scene.views:
+        mask = np.ones((view.height, view.width), np.bool_)
+        mask[:20] = False
+        write_image(bare / "masks" / view.name, mask)
+    for view in open_scene(bare).views:
+        assert view.silhouette is not None
+        assert view.silhouette[40, 60]
+        assert not view.silhouette[10, 60]
+
+
+def test_a_named_folder_may_hold_masks_of_some_views_which_is_said(temple: BuiltInScene, bare: Path) -> None:
+    write_masks(temple.scene, bare / "few")
+    for n in (2, 5):
+        (bare / "few" / f"{temple.scene.views[n].name}.png").unlink()
+    missing = ", ".join(temple.scene.views[n].name for n in (2, 5))
+    with pytest.warns(UserWarning, match=rf"few: 2 of 8 views have no mask and exclude nothing: {missing}$"):
+        read = open_scene(bare, silhouettes=bare / "few")
+    assert [view.has_silhouette for view in read.views] == [n not in (2, 5) for n in range(8)]
+
+
+def test_cameras_in_another_order_than_photographs_are_warned_of(temple: BuiltInScene, tmp_path: Path) -> None:
+    views = temple.scene.views
+    order = [3 * n % 8 for n in range(8)]
+    shuffled = tuple(replace(view, calibration=views[n].calibration) for view, n in zip(views, order, strict=True))
+    folder = write_middlebury(replace(temple.scene, views=shuffled), tmp_path / "set")
+    with pytest.warns(UserWarning, match=r"silhouettes contradict.* in the same order"):
+        open_scene(folder)
+    shares = silhouettes_explained(views, temple.scene.bounds)
+    assert shares.shape == (8,)
+    assert shares.min() > 0.99
+
+
+def test_photographs_of_another_size_than_k_are_told(temple: BuiltInScene, bare: Path) -> None:
+    def scaled(factor: float) -> None:
+        for view in temple.scene.views:
+            write_image(bare / view.name, cv2.resize(view.image, None, fx=factor, fy=factor))
+
+    scaled(0.5)
+    with pytest.raises(SceneError, match=r"K looks like that of photographs 2 times as large\. Give those, or scale K"):
+        open_scene(bare)
+    scaled(2)
+    with pytest.warns(UserWarning, match="K looks like that of photographs 1/2 as large"):
+        open_scene(bare, silhouettes="none")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -17,6 +17,7 @@ from recon3d.io.bouguet import is_bouguet, read_bouguet
 from recon3d.io.bundler import is_bundler, read_bundler
 from recon3d.io.calibrated import Calibrated
 from recon3d.io.calibration_record import is_calibration, read_calibration
+from recon3d.io.checking import told_of_another_size, warn_of_silhouettes
 from recon3d.io.colmap import is_colmap, read_colmap
 from recon3d.io.handedness import MIRROR, mirrored
 from recon3d.io.matrices import is_matrices, read_matrices
@@ -35,7 +36,7 @@ from recon3d.scene.bounds import Bounds
 from recon3d.scene.enclosing import enclosing_box
 from recon3d.scene.image_file import ImageFile
 from recon3d.scene.mask import FileMask, Mask
-from recon3d.scene.mask_files import fitting_mask, mask_folders, masks_of_views
+from recon3d.scene.mask_files import fitting_masks, mask_folders, masks_of_views
 from recon3d.scene.names import stems_of
 from recon3d.scene.scene import Scene
 from recon3d.scene.silhouettes import (
@@ -147,10 +148,12 @@ def open_scene(
         },
     )
     _check_box(scene)
-    if masks or silhouettes == "none":
+    if named or masks:
+        scene = with_mask_files(scene, silhouettes) if named else scene
+        warn_of_silhouettes(scene)
         return scene
-    if named:
-        return with_mask_files(scene, silhouettes)
+    if silhouettes == "none":
+        return scene
     if silhouettes == "auto" and told_box:  # neither the box nor the background is sure
         dark = _check_foreground(scene, must_fit=False, otherwise="; no silhouettes are made")
         return with_segmented_silhouettes(scene, only=found.masked) if dark else scene
@@ -197,7 +200,7 @@ def _own_masks(found: Calibrated, views: tuple[View, ...], path: Path) -> tuple[
     good = [view for view in views if found.masked is None or view.name in found.masked]
     own = {image.name: image.mask for image in found.images if image.mask is not None}
     if own:
-        return _fitting(good, own), {"masks": f"{len(own)} of {len(views)} views, named by the format"}
+        return fitting_masks(good, own), {"masks": f"{len(own)} of {len(views)} views, named by the format"}
     stems_by_name = stems_of(view.name for view in good)
     stems = [stems_by_name[view.name] for view in good]
     beside = _places(found, path)
@@ -205,7 +208,7 @@ def _own_masks(found: Calibrated, views: tuple[View, ...], path: Path) -> tuple[
     for folder, marked in folders:
         files = masks_of_views(good, stems, folder, marked=marked)
         if files:
-            return _fitting(good, files), {"masks": f"{len(files)} of {len(views)} views, {folder.name}"}
+            return fitting_masks(good, files), {"masks": f"{len(files)} of {len(views)} views, {folder.name}"}
         if not marked and (others := image_files(folder)):
             warnings.warn(
                 f"{folder}: none of its {len(others)} images ({others[0].name}) is named like a view "
@@ -219,10 +222,6 @@ def _own_masks(found: Calibrated, views: tuple[View, ...], path: Path) -> tuple[
             alpha = {name: FileMask(file, alpha=True) for name, file in opaque.items()}
             return alpha, {"masks": f"{len(alpha)} of {len(views)} views, the photographs' opacity"}
     return {}, {}
-
-
-def _fitting(views: Collection[View], files: Mapping[str, Path]) -> dict[str, Mask]:
-    return {view.name: fitting_mask(view, files[view.name]) for view in views if view.name in files}
 
 
 def _places(found: Calibrated, path: Path) -> list[Path]:
@@ -266,10 +265,13 @@ def _check_box(scene: Scene) -> None:
         "give bounds around the object alone, not the room"
     )
     if wrong := _not_in_images(scene.views, box):
-        question = told if inside else "Every set has its own world frame: is this another set's box?"
+        question = told_of_another_size(scene.views) or "Every set has its own world frame: is this another set's box?"
+        question = told if inside else question
         raise SceneError(f"{scene.name}: {wrong}. {question}")
     if inside:
         warnings.warn(f"{scene.name}: {told}", stacklevel=3)
+    if scaled := told_of_another_size(scene.views):
+        warnings.warn(f"{scene.name}: {scaled}", stacklevel=3)
 
 
 def _not_in_images(views: tuple[View, ...], box: Bounds) -> str | None:

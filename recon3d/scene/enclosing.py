@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from recon3d.errors import SceneError
 from recon3d.scene.bounds import Bounds
+from recon3d.scene.camera import Camera
 from recon3d.scene.view import View
 
 PADDING = 0.03
@@ -78,6 +80,54 @@ def looked_at(views: Sequence[View]) -> NDArray[np.float64]:
             "camera-to-world, or the axes not OpenCV's (x right, y down, z forward)?"
         )
     return np.asarray(middle)
+
+
+def silhouettes_explained(views: Sequence[View], bounds: Bounds) -> NDArray[np.float64]:
+    """(n,) share of each silhouette, inside the box, that what lies in all silhouettes can be seen in.
+
+    1 for silhouettes of one object by right cameras, to the size of a cell, a 48th of the box; less where cameras and
+    silhouettes are not each other's.
+
+    Parameters
+    ----------
+    views : n, all with silhouettes.
+    """
+    held = _cells(bounds)[_in_silhouettes(views, bounds).ravel()]
+    radius = 0.5 * float(np.linalg.norm(bounds.extent)) / _N
+    shares = []
+    for view in views:
+        depth = view.project(bounds.center[None])[1][0]
+        scale = min(1.0, max(max(depth, 1e-12) / view.K[0, 0] / radius, 8 / min(view.width, view.height)))
+        mask = view.silhouette_at(scale)
+        if mask is not None:
+            camera = view.calibration.at(scale)
+            corners, before = _projected(camera, bounds.corners)
+            within = np.zeros(mask.shape, np.uint8)
+            cv2.fillConvexPoly(within, cv2.convexHull(corners.astype(np.float32)).round().astype(np.int32), 1)
+            shown = mask & (within > 0) if before.all() else mask
+            shares.append(float((shown & _drawn(camera, held, radius)).sum() / max(shown.sum(), 1)))
+    return np.array(shares)
+
+
+def _projected(camera: Camera, points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Pixels (n, 2) of world points, and which lie before the camera."""
+    homogeneous = points @ (camera.K @ camera.cam_from_world[:3, :3]).T + camera.K @ camera.cam_from_world[:3, 3]
+    before = homogeneous[:, 2] > 0
+    return homogeneous[:, :2] / np.where(before, homogeneous[:, 2], 1)[:, None], before
+
+
+def _drawn(camera: Camera, cells: NDArray[np.float64], radius: float) -> NDArray[np.bool_]:
+    """(height, width) pixels that show cells of a radius, world units."""
+    picture = np.zeros((camera.height, camera.width), np.uint8)
+    pixels, before = _projected(camera, cells)
+    u, v = pixels.round().astype(np.int64).T
+    seen = before & (u >= 0) & (v >= 0) & (u < camera.width) & (v < camera.height)
+    if not seen.any():
+        return picture > 0
+    picture[v[seen], u[seen]] = 1
+    depth = float(np.median((cells @ camera.cam_from_world[2, :3] + camera.cam_from_world[2, 3])[seen]))
+    reach = int(np.ceil(radius * camera.K[0, 0] / depth))
+    return cv2.dilate(picture, np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)) > 0
 
 
 def _extent(cube: Bounds, holds: Callable[[Bounds], NDArray[np.bool_]], *, rounds: int) -> Bounds | None:

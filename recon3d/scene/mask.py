@@ -95,6 +95,8 @@ class FileMask(Mask):
     """Read the file's opacity, not its brightness."""
     of_size: tuple[int, int] | None = None
     """Width and height that it is scaled to, each pixel being the mean of what it covers; its own when None."""
+    inverted: bool = False
+    """Dark for object."""
 
     @property
     def size(self) -> tuple[int, int]:
@@ -103,12 +105,13 @@ class FileMask(Mask):
 
     def read(self, camera: Camera) -> NDArray[np.bool_]:
         """(height, width) the pixels brighter than half, undistorted."""
-        key = ("mask", self.file.version(), self.alpha, self.size, camera if camera.distortion else None)
+        key = ("mask", self.file.version(), self.alpha, self.inverted, self.size, camera if camera.distortion else None)
 
         def mask() -> NDArray[np.bool_]:
             values = self.file.decode_alpha() if self.alpha else self.file.decode(grey=True)
             if not self.alpha and 0 < (largest := int(values.max())) <= _MIDDLE:
                 values = np.asarray(values > largest / 2, np.uint8) * np.uint8(255)
+            values = 255 - values if self.inverted else values
             if self.size != self.file.size:
                 larger = self.size[0] > self.file.size[0]
                 way = cv2.INTER_LINEAR if larger else cv2.INTER_AREA
@@ -119,8 +122,8 @@ class FileMask(Mask):
 
     def fingerprint(self) -> str:
         """Digest of the file, and how it is read."""
-        told = self.file.fingerprint()
-        return f"{told}{' alpha' if self.alpha else ''}{f' {self.size}' if self.size != self.file.size else ''}"
+        told = f"{self.file.fingerprint()}{' alpha' if self.alpha else ''}{' inverted' if self.inverted else ''}"
+        return f"{told}{f' {self.size}' if self.size != self.file.size else ''}"
 
 
 @dataclass(frozen=True, eq=False)

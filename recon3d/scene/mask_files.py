@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import re
+import warnings
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
+
+import numpy as np
 
 from recon3d.errors import DataError
 from recon3d.scene.camera import same_shape
@@ -19,6 +23,8 @@ IMAGE_SUFFIXES = frozenset(
 )
 """In lower case."""
 
+_LOOKED_AT = 5  # masks
+_RIM_SHARE, _MIDDLE_SHARE = 0.75, 0.25  # of the pixels at the border and in the middle, in inverted masks
 _FOLDERS = frozenset({"mask", "masks", "silhouette", "silhouettes"})
 _MARK = re.compile(r"(^|[._-])(mask|silhouette|sil)s?(?=$|[._-])", re.IGNORECASE)
 
@@ -110,3 +116,35 @@ def fitting_mask(view: View, path: Path) -> FileMask:
             f"got {width}x{height}{'; photographs are set upright as their EXIF says' if turned else ''}"
         )
     return FileMask(file, of_size=(view.width, view.height))
+
+
+def fitting_masks(views: Sequence[View], files: Mapping[str, Path]) -> dict[str, FileMask]:
+    """Masks of the views that have a file, scaled to their photographs.
+
+    Where most are white along the image's border and black in its middle, black is taken for object, with a warning.
+
+    Raises
+    ------
+    DataError : a file is unreadable, or of another shape than the photograph.
+    """
+    masked = [view for view in views if view.name in files]
+    masks = {view.name: fitting_mask(view, files[view.name]) for view in masked}
+    chosen = np.unique(np.linspace(0, len(masked) - 1, min(_LOOKED_AT, len(masked))).round().astype(int))
+    shares = np.array([_rim_and_middle(masked[n], masks[masked[n].name]) for n in chosen])
+    if not len(shares) or not ((shares[:, 0] >= _RIM_SHARE) & (shares[:, 1] <= _MIDDLE_SHARE)).mean() > 0.5:
+        return masks
+    folder = masks[masked[0].name].file.path.parent
+    warnings.warn(
+        f"{folder}: its masks are white all around and black in the middle: black is taken for object, not white",
+        stacklevel=4,
+    )
+    return {name: replace(mask, inverted=True) for name, mask in masks.items()}
+
+
+def _rim_and_middle(view: View, mask: FileMask) -> tuple[float, float]:
+    """Shares of the pixels that are object, at the image's border and in its middle."""
+    held = replace(mask, of_size=None).read(replace(view.calibration, distortion=()))
+    height, width = held.shape
+    rim = np.concatenate([held[0], held[-1], held[:, 0], held[:, -1]])
+    middle = held[2 * height // 5 : 3 * height // 5 + 1, 2 * width // 5 : 3 * width // 5 + 1]
+    return float(rim.mean()), float(middle.mean())

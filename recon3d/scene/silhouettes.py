@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import warnings
 from collections.abc import Callable, Collection
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
@@ -16,13 +17,16 @@ from numpy.typing import NDArray
 from recon3d.errors import ArgumentError, DataError
 from recon3d.scene.bounds import Bounds
 from recon3d.scene.mask import ComputedMask, Mask
-from recon3d.scene.mask_files import fitting_mask, masks_of_views
+from recon3d.scene.mask_files import fitting_masks, masks_of_views
 from recon3d.scene.names import file_stems
 from recon3d.scene.scene import Scene
 from recon3d.scene.view import View
 from recon3d.values import ByContent, Once
 
 _FAR = 1e6  # pixels; a corner nearly beside the camera, too far out for OpenCV to draw
+
+
+_NAMED = 6  # views, in a warning
 
 
 _RIM = 3  # pixels at the object's edge that may be either
@@ -220,7 +224,7 @@ def _grab_cut(view: View, level: float, within: NDArray[np.bool_]) -> NDArray[np
 
 
 def with_mask_files(scene: Scene, folder: Path | str, *, only: Collection[str] | None = None) -> Scene:
-    """Scene with silhouettes read from image files named like the views, white for object, one for each view.
+    """Scene with silhouettes read from image files named like the views, white for object; views without are named.
 
     For a view ``a/001.png`` that is ``a/001.*`` or ``a/001.png.*`` in the folder, the same with "mask" in it
     (``a/001.mask.*``), ``a_001.*``, the name that the view's own files are written under, or one of the same number.
@@ -232,23 +236,29 @@ def with_mask_files(scene: Scene, folder: Path | str, *, only: Collection[str] |
 
     Raises
     ------
-    DataError : a mask is missing, unreadable or of another shape than its view's image.
+    DataError : no view has a mask, or one is unreadable or of another shape than its view's image.
     """
     folder = Path(folder)
     if not folder.is_dir():
         raise DataError(f"{folder}: expected a folder of mask images")
-    files = masks_of_views(scene.views, file_stems(scene).values(), folder)
-
-    def mask(view: View) -> Mask:
-        if view.name not in files:
-            expected, held = Path(view.name).with_suffix(""), sorted(path.name for path in folder.iterdir())
-            raise DataError(
-                f"{folder}: expected one mask named {expected}.* for view {view.name}, found 0; "
-                f"the folder holds {', '.join(held[:3]) + ' ...' * (len(held) > 3) or 'nothing'}"
-            )
-        return fitting_mask(view, files[view.name])
-
-    return _with_masks(scene, mask, only)
+    wanted = [view for view in scene.views if only is None or view.name in only]
+    stems = file_stems(scene)
+    files = masks_of_views(wanted, [stems[view.name] for view in wanted], folder)
+    missing = [view.name for view in wanted if view.name not in files]
+    if missing and not files:
+        expected, held = Path(missing[0]).with_suffix(""), sorted(path.name for path in folder.iterdir())
+        raise DataError(
+            f"{folder}: expected one mask named {expected}.* for view {missing[0]}, found 0; "
+            f"the folder holds {', '.join(held[:3]) + ' ...' * (len(held) > 3) or 'nothing'}"
+        )
+    if missing:
+        warnings.warn(
+            f"{folder}: {len(missing)} of {len(wanted)} views have no mask and exclude nothing: "
+            f"{', '.join(missing[:_NAMED])}{' ...' * (len(missing) > _NAMED)}",
+            stacklevel=3,
+        )
+    masks = fitting_masks(wanted, files)
+    return replace(scene, views=tuple(replace(view, mask=masks.get(view.name)) for view in scene.views))
 
 
 def without_silhouettes(scene: Scene) -> Scene:
