@@ -83,6 +83,21 @@ def calibrated(photographs: Path, output: Path, board: str | None = None, masks:
         return cameras_from_board(photographs, Board.parse(board), output=output, progress=report)
 
 
+def with_adjusted_cameras(scene: Scene, folder: Path) -> Scene:
+    """The scene with cameras that bundle adjustment has refined; kept in a folder for the next run."""
+    from recon3d.calibration import refine_cameras
+    from recon3d.io.refined_cameras import with_refined_cameras, write_refined_cameras
+
+    kept = with_refined_cameras(folder, scene)
+    if kept is not None:
+        return kept
+    with progress() as report:
+        refined = refine_cameras(scene.views, progress=report)
+    say(refined.summary())
+    write_refined_cameras(folder, replace(scene, views=refined.views), scene)
+    return replace(scene, views=refined.views)
+
+
 def photograph(name: str, **options: Any) -> BuiltInScene:
     """Built-in scene of a name."""
     from recon3d.datasets.synthetic import SCENES
@@ -228,11 +243,15 @@ def record_of(result: Path) -> dict[str, Any] | None:
 def recorded_scene(result: Path, record: dict[str, Any] | None, *, silhouettes: str = "none", hint: str = "") -> Scene:
     """The scene that a result was made of, with the views that were used; a hint ends the error that none is known."""
     from recon3d.datasets.synthetic import SCENES
+    from recon3d.io.refined_cameras import with_refined_cameras
 
     if record is None or record["source"] is None:
         raise DataError(f"{result}: no record says which scene this was made of{hint}")
     box = None if record["source"] in SCENES else ",".join(map(str, record["bounds"]))
-    return load(record["source"], box, silhouettes, record["mm_per_unit"], record["images"]).subset(record["views"])
+    given = load(record["source"], box, silhouettes, record["mm_per_unit"], record["images"])
+    folder = result if result.is_dir() else result.parent
+    scene = with_refined_cameras(folder, given, of_views=False) or given
+    return scene.subset(record["views"])
 
 
 def recorded_settings(result: Path, record: dict[str, Any] | None, test: str | None) -> Settings:

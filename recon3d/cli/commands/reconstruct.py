@@ -18,6 +18,7 @@ from recon3d.cli.arguments import (
     save,
     say,
     views_of,
+    with_adjusted_cameras,
     writable,
 )
 from recon3d.cli.options import ADVANCED, CARVING, INPUT, MATCHING, MEASURING, OUTPUT, SURFACE
@@ -50,6 +51,14 @@ class _MeshFormat(StrEnum):
 
 def command(
     scene: options.SceneOrPhotographs,
+    refine_cameras: Annotated[
+        bool,
+        typer.Option(
+            "--refine-cameras",
+            help="Adjust the given cameras to matches between the photographs first (bundle adjustment).",
+            rich_help_panel=INPUT,
+        ),
+    ] = False,
     views: options.Views = "auto",
     max_views: Annotated[
         int | None, typer.Option(help="With --views auto: at most so many.", rich_help_panel=INPUT)
@@ -130,6 +139,7 @@ def command(
 ) -> None:
     """Reconstruct a coloured mesh, points and voxels from photographs; plain ones are calibrated first."""
     from recon3d.io.geometry import read_mesh
+    from recon3d.io.refined_cameras import REFINED_FILE
     from recon3d.settings import Settings
     from recon3d.stereo import PASSES
     from recon3d.surface import Meshing
@@ -160,6 +170,10 @@ def command(
     else:
         loaded = load(scene, bounds, silhouettes, mm_per_unit, images)
         folder = writable(output or Path("recon3d-output") / loaded.name)
+    if refine_cameras:
+        loaded = with_adjusted_cameras(loaded, folder)
+    else:
+        (folder / REFINED_FILE).unlink(missing_ok=True)
     result = run(loaded, settings, truth, folder / "stages")
     written = save(result, folder, [name.value for name in mesh_format or [_MeshFormat.ply]], pictures=pictures)
     say(result.summary())
