@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from formats import farthest_apart, without_skew, write_colmap, write_masks, write_photographs
 from numpy.typing import NDArray
+from PIL import Image
 from scenes import plain_view
 from typer.testing import CliRunner
 
@@ -22,6 +23,7 @@ from recon3d.io import open_scene, write_middlebury
 from recon3d.io.files import write_image
 from recon3d.scene.bounds import Bounds
 from recon3d.scene.enclosing import enclosing_box, looked_at, silhouettes_explained
+from recon3d.scene.image_file import ImageFile, read_image
 from recon3d.scene.scene import Scene
 from recon3d.scene.view import View
 
@@ -349,3 +351,49 @@ def test_photographs_of_another_size_than_k_are_told(temple: BuiltInScene, bare:
     scaled(2)
     with pytest.warns(UserWarning, match="K looks like that of photographs 1/2 as large"):
         open_scene(bare, silhouettes="none")
+
+
+@pytest.mark.parametrize("bits", [8, 10, 12, 14, 16])
+def test_photographs_of_fewer_bits_in_sixteen_are_read_as_bright_as_they_are(
+    temple: BuiltInScene, bare: Path, bits: int
+) -> None:
+    white = 2**bits - 1
+    for view in temple.scene.views:
+        deep = np.round(view.image[..., ::-1] * (white / max(v.image.max() for v in temple.scene.views)))
+        assert cv2.imwrite(str(bare / view.name), deep.astype(np.uint16))
+    read = open_scene(bare)
+    assert read.notes.get("values") == (None if bits == 16 else f"{bits} bits in 16: {white} is white")
+    brightest = max(view.image.max() for view in temple.scene.views)
+    for view, ours in zip(read.views, temple.scene.views, strict=True):
+        np.testing.assert_allclose(view.image, ours.image * (255 / brightest), atol=1.01)
+    assert read.fingerprint() == open_scene(bare).fingerprint()
+
+
+def test_twelve_bits_in_sixteen_are_not_read_as_black_where_no_set_tells(tmp_path: Path) -> None:
+    file = tmp_path / "a.png"
+    assert cv2.imwrite(str(file), np.full((20, 30, 3), 4000, np.uint16))
+    with pytest.raises(DataError, match=r"a\.png: its 16 bits hold values up to 4000 only, as of a camera of 12 bits"):
+        read_image(file)
+    assert (ImageFile(file, white=4095).decode() == 249).all()
+    with pytest.raises(DataError, match=r"expected values up to 1023, .*got 4000"):
+        ImageFile(file, white=1023).decode()
+
+
+def test_image_kinds_are_read_right_or_refused_with_the_reason(tmp_path: Path) -> None:
+    color = np.zeros((20, 30, 3), np.uint8)
+    color[:, :15], color[:, 15:] = (200, 100, 40), (30, 180, 220)
+    picture = Image.fromarray(color)
+    kinds = {"png": "RGB", "jpg": "CMYK", "tif": "CMYK", "webp": "RGBA", "bmp": "RGB"}
+    for suffix, mode in kinds.items():
+        picture.convert(mode).save(tmp_path / f"a.{suffix}", quality=98)
+        inside = read_image(tmp_path / f"a.{suffix}")[8:12, [4, 26]]
+        np.testing.assert_allclose(inside[0], color[8, [4, 26]], atol=3)
+    picture.convert("L").save(tmp_path / "grey.png")
+    grey = read_image(tmp_path / "grey.png")
+    assert (grey == np.asarray(picture.convert("L"))[..., None]).all()
+    picture.convert("LAB").save(tmp_path / "lab.tif")
+    with pytest.raises(DataError, match=r"lab\.tif: expected RGB, CMYK or grey, got the colour space LAB"):
+        read_image(tmp_path / "lab.tif")
+    (tmp_path / "a.heic").write_bytes(b"\0\0\0\x18ftypheic")
+    with pytest.raises(DataError, match=r"a\.heic: not a readable image; save it as PNG or JPEG"):
+        read_image(tmp_path / "a.heic")

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
+from recon3d.io.calibrated import Calibrated
 from recon3d.scene.enclosing import silhouettes_explained
+from recon3d.scene.image_file import ImageFile
+from recon3d.scene.photograph import Photograph
 from recon3d.scene.scene import Scene
 from recon3d.scene.view import View
 
@@ -15,7 +19,32 @@ _PIXELS = 3e7  # of masks that are looked at
 _FEWEST = 4  # views, however large
 _EXPLAINED = 0.97  # of the silhouettes, on average
 _FACTORS = (8, 4, 3, 2, 1 / 2, 1 / 3, 1 / 4, 1 / 8)
+_BITS = (8, 10, 12, 14, 16)
 _OFF, _APART = 0.2, 0.12  # of the image's sides
+
+
+def with_one_white(found: Calibrated) -> Calibrated:
+    """Photographs of 16 bits with the white that all share: 65535, or that of the fewer bits that they use.
+
+    A few are looked at: cameras of 10, 12 or 14 bits store their values in 16 without scaling them.
+    """
+    deep = [image.photograph.source for image in found.images if isinstance(image.photograph.source, ImageFile)]
+    deep = [file for file in deep if file.is_deep]
+    if not deep:
+        return found
+    n = int(np.clip(_PIXELS / np.prod(deep[0].size), min(_FEWEST, len(deep)), len(deep)))
+    largest = max(deep[k].largest() for k in np.linspace(0, len(deep) - 1, n).round().astype(int))
+    bits = next(bits for bits in _BITS if largest < 2**bits)
+    images = [
+        image._replace(photograph=Photograph(replace(image.photograph.source, white=2**bits - 1)))
+        if isinstance(image.photograph.source, ImageFile) and image.photograph.source.is_deep
+        else image
+        for image in found.images
+    ]
+    notes = (
+        found.notes if bits == _BITS[-1] else {**found.notes, "values": f"{bits} bits in 16: {2**bits - 1} is white"}
+    )
+    return replace(found, images=tuple(images), notes=notes)
 
 
 def told_of_another_size(views: Sequence[View]) -> str | None:

@@ -17,7 +17,7 @@ from recon3d.io.bouguet import is_bouguet, read_bouguet
 from recon3d.io.bundler import is_bundler, read_bundler
 from recon3d.io.calibrated import Calibrated
 from recon3d.io.calibration_record import is_calibration, read_calibration
-from recon3d.io.checking import told_of_another_size, warn_of_silhouettes
+from recon3d.io.checking import told_of_another_size, warn_of_silhouettes, with_one_white
 from recon3d.io.colmap import is_colmap, read_colmap
 from recon3d.io.handedness import MIRROR, mirrored
 from recon3d.io.matrices import is_matrices, read_matrices
@@ -126,6 +126,7 @@ def open_scene(
     if known is None:
         raise DataError(told_unknown(path, [known.sign for known in FORMATS.values()]))
     found = _right_handed(_read(known, path, None if images is None else Path(images)), path)
+    found = with_one_white(found)
     named = str(silhouettes) not in (*_MADE, "none")
     views = tuple(View(image.camera, image.photograph, None, image.name) for image in found.images)
     masks, told_masks = _own_masks(found, views, path) if silhouettes == "auto" else ({}, {})
