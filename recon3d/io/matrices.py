@@ -51,6 +51,7 @@ _TEXT = frozenset({".txt", ".p", ".dat", ".csv", ".proj", ".projection"})
 _SUFFIXES = _TEXT | {".npy", ".mat"}
 _MOST = 16 * 2**20  # bytes of a file
 _MANY = 100_000  # files of a folder, and matrices
+_PROBED = 3  # files of one form that are looked at to recognise them
 _SKEWED = 0.3  # of the focal length
 _UNEVEN = 5.0  # ratio of the focal lengths
 _COUNTS = (4, 12, 16)  # numbers of a line
@@ -100,7 +101,7 @@ def read_matrices(path: Path, images: Path | None = None) -> Calibrated:
             f"more: {', '.join(file.name for file in whole[:5])}; give the one that is meant"
         )
     scene = files[0].parent.parent if files[0].parent.name in _FOLDERS else files[0].parent
-    folders = [images] if images else [place / name for place in (scene, files[0].parent) for name in _PHOTOGRAPHS]
+    folders = [images] if images else [place / name for place in (files[0].parent, scene) for name in _PHOTOGRAPHS]
     if whole:
         pairs = _pairs(held[whole[0]], folders, str(whole[0]))
     else:
@@ -136,7 +137,10 @@ def _files(path: Path) -> list[Path]:
     for name in _FOLDERS:
         place = path / name
         listing = sorted(islice(place.iterdir(), _MANY), key=lambda file: natural(file.name)) if place.is_dir() else []
-        forms = {_form(file) for file in listing if _holds(file)}
+        by_form: dict[str, list[Path]] = {}
+        for file in listing:
+            by_form.setdefault(_form(file), []).append(file)
+        forms = {form for form, alike in by_form.items() if any(_holds(file) for file in alike[:_PROBED])}
         if forms:
             return [file for file in listing if _form(file) in forms]
     return []

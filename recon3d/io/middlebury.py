@@ -16,7 +16,7 @@ from recon3d.errors import DataError
 from recon3d.io.calibrated import Calibrated, CalibratedImage
 from recon3d.io.files import write_image, write_text
 from recon3d.io.par_file import camera_of_line, plain_name, poses_of_lines, read_par_file
-from recon3d.io.reading import IMAGE_FOLDERS, find_image, find_images, number_fields, read_text
+from recon3d.io.reading import IMAGE_FOLDERS, UNIT_UNKNOWN, find_image, find_images, number_fields, read_text
 from recon3d.scene.bounds import Bounds
 from recon3d.scene.mask_files import mask_folders
 from recon3d.scene.names import file_stems
@@ -110,7 +110,8 @@ def write_readme(scene: Scene, folder: Path) -> Path:
     """Write bounds and unit of a scene as the README of a set; returns the file."""
     tight = scene.bounds.padded(-PADDING / (1 + 2 * PADDING) * scene.bounds.longest)
     low, high = (" ".join(map(repr, corner)) for corner in (tight.low, tight.high))
-    unit = "not known" if scene.mm_per_unit is None else f"{scene.mm_per_unit!r} mm"
+    told = scene.mm_per_unit is not None and scene.notes.get("unit") != UNIT_UNKNOWN["unit"]
+    unit = f"{scene.mm_per_unit!r} mm" if told else "not known"
     return write_text(
         folder / "README.txt",
         f"{scene.name}: {len(scene.views)} views\n\nThe (tight) bounding box is\n({low})\n({high})\n\n"
