@@ -83,6 +83,15 @@ def test_code_is_kept_beside_the_source_for_the_next_process(copy: Copy) -> None
     assert copy.run() == ("0 2 4", True, copy.kernels / "__pycache__")
 
 
+def test_arguments_of_other_types_run_other_code(copy: Copy) -> None:
+    before = (
+        "import numpy as np; from recon3d.kernels.caller import scale\n"
+        "for values in (np.arange(3.0), np.arange(6)[::2], np.arange(3, dtype=np.float32)):\n"
+        "    expected = 2 * values; scale(values); assert (values == expected).all()\n"
+    )
+    assert copy.run(before)[0] == "0 2 4"
+
+
 def test_code_follows_a_change_of_a_kernel_that_is_called(copy: Copy) -> None:
     copy.run()
     (copy.kernels / "callee.py").write_text(CALLEE.replace("2", "3"))

@@ -12,16 +12,8 @@ from scenes import ball_mesh, cameras, cropped, grain, photographs
 from scipy.ndimage import gaussian_filter
 
 from recon3d.kernels.fusion import Agreement, Means, PlaneMaps, average_planes
-from recon3d.kernels.patch_match import (
-    NOTHING,
-    HalfSweep,
-    Planes,
-    Search,
-    Surface,
-    WeightedWindow,
-    find_visible,
-    match_planes,
-)
+from recon3d.kernels.patch_match import NOTHING, HalfSweep, Planes, Search, WeightedWindow, match_planes
+from recon3d.kernels.surface_visibility import Surface, find_visible
 from recon3d.kernels.types import Compared
 from recon3d.rendering.renderer import Renderer
 from recon3d.scene.scene import Scene

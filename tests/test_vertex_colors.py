@@ -13,7 +13,7 @@ from scenes import ball_mesh, cameras, photographs, stripes, two_planes_mesh
 from recon3d.carving.visual_hull import VisualHull
 from recon3d.datasets.synthetic import BuiltInScene, _irradiance, temple_texture
 from recon3d.errors import EmptyReconstructionError
-from recon3d.kernels.vertex_colors import agreed_colors, facing_views, weighted_median
+from recon3d.kernels.vertex_colors import Vertices, agreed_colors, facing_views, weighted_median
 from recon3d.rendering.ray_caster import RayCaster
 from recon3d.scene.scene import Scene
 from recon3d.surface.extraction import nearest_colors
@@ -102,13 +102,13 @@ def test_kernels_are_their_slow_twins() -> None:
     points, normals = (np.asarray(x)[::9].copy() for x in (mesh.vertices, mesh.vertex_normals))
     views = scene.packed
     facing = np.empty((5, len(points)), np.bool_)
-    facing_views(points, normals, views.cameras, facing)
+    facing_views(Vertices(points, normals), views.cameras, facing)
     for row, view in zip(facing, scene.views, strict=True):
         towards = ((view.center - points) * normals).sum(axis=1) > 0
         np.testing.assert_array_equal(row, view.sees(points) & towards)
     trust = np.random.default_rng(0).choice([0.0, 0.05, 1.0], views.foreground.shape).astype(np.float32)
     colors = np.full((len(points), 3), np.nan)
-    agreed_colors(points, normals, facing, views.cameras, views.images, trust, colors)
+    agreed_colors(Vertices(points, normals), facing, views.cameras, views.images, trust, colors)
     slow = colors_slowly(points, normals, facing, scene, trust)
     assert 0.1 < np.isnan(slow[:, 0]).mean() < 0.9
     np.testing.assert_allclose(colors, slow, atol=1e-6)

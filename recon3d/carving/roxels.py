@@ -12,7 +12,7 @@ from recon3d.carving.observer import Observer
 from recon3d.carving.start import clear_around_cameras
 from recon3d.checks import require_number, require_whole
 from recon3d.errors import EmptyReconstructionError
-from recon3d.kernels.responsibility import Matter, respond
+from recon3d.kernels.responsibility import Matter, PixelModel, respond
 from recon3d.scene.scene import Scene
 from recon3d.tasks import Progress
 from recon3d.volume.carved import CarvedVolume, Label
@@ -112,9 +112,9 @@ class Roxels(Method):
         new = Matter(matter.opacity[at], matter.colors[at])
         visible = np.zeros(seen.shape, np.float32)
         # The normal density's height is left out of the agreement, so the uniform one is taken relative to it.
-        unexplained = min((2 * np.pi * self.sigma0**2) ** 1.5 / 256**3, 1.0)
+        model = PixelModel(self.sigma0, min((2 * np.pi * self.sigma0**2) ** 1.5 / 256**3, 1.0))
         for n in range(self.rounds):
-            respond(observed, centers, matter, self.sigma0, unexplained, new, visible)
+            respond(observed, centers, matter, model, new, visible)
             matter.opacity[at], matter.colors[at] = new
             if progress:
                 progress(n + 1, self.rounds)

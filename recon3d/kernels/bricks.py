@@ -101,15 +101,16 @@ def exposed_bricks(
                     continue
                 for axis in range(3):
                     for side in range(2):
-                        if _open_face(slots, occupied, bi, bj, bk, axis, side):
+                        if _open_face(slots, occupied, (bi, bj, bk), axis, side):
                             exposed[bi, bj, bk] = True
 
 
 @kernel()
 def _open_face(
-    slots: NDArray[np.int32], occupied: NDArray[np.bool_], bi: int, bj: int, bk: int, axis: int, side: int
+    slots: NDArray[np.int32], occupied: NDArray[np.bool_], brick: tuple[int, int, int], axis: int, side: int
 ) -> bool:
     """Whether an empty voxel lies across the lower (side 0) or upper (1) face of a brick."""
+    bi, bj, bk = brick
     across = BRICK if side else -1
     for b in range(BRICK):
         for c in range(BRICK):

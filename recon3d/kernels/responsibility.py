@@ -21,14 +21,22 @@ class Matter(NamedTuple):
     """(n, 3) or (nx, ny, nz, 3) RGB, grey levels."""
 
 
+class PixelModel(NamedTuple):
+    """How pixels come by their colours."""
+
+    sigma: float
+    """Standard deviation of a pixel about the colour of its voxel, grey levels."""
+    unexplained: float
+    """Density of colours that no voxel explains, relative to the height of that of a voxel's."""
+
+
 @kernel(parallel=True)
 def respond(
     part: Part,
     observed: Observed,
     centers: NDArray[np.float64],
     matter: Matter,
-    sigma: float,
-    unexplained: float,
+    model: PixelModel,
     new: Matter,
     visible: NDArray[np.float32],
 ) -> None:
@@ -44,9 +52,7 @@ def respond(
             if not seen[n, view]:
                 continue
             length = walk(centers[view], voxels[n], opacity.shape, True, path)
-            own, onward, visible[n, view] = _shares(
-                matter, path[:length], voxels[n], shown[n, view], sigma, unexplained
-            )
+            own, onward, visible[n, view] = _shares(matter, path[:length], voxels[n], shown[n, view], model)
             total += own
             reaching += onward
             red += own * shown[n, view, 0]
@@ -68,11 +74,11 @@ def _shares(
     path: NDArray[np.int64],
     voxel: NDArray[np.int64],
     observed: NDArray[np.uint8],
-    sigma: float,
-    unexplained: float,
+    model: PixelModel,
 ) -> Any:
     """Probabilities that a ray's colour comes from a voxel on it, and from it or behind; and the light left there."""
     opacity, colors = matter
+    sigma, unexplained = model
     target = (voxel[0] * opacity.shape[1] + voxel[1]) * opacity.shape[2] + voxel[2]
     alphas, paint = opacity.reshape(-1), colors.reshape(-1, 3)
     through = 1.0

@@ -1,5 +1,7 @@
 """Which views a vertex faces, and the colour that they agree on."""
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -8,15 +10,24 @@ from recon3d.kernels.cameras import bilinear, project
 from recon3d.kernels.types import Cameras
 
 
+class Vertices(NamedTuple):
+    """Of a mesh."""
+
+    points: NDArray[np.float64]
+    """(n, 3) world."""
+    normals: NDArray[np.float64]
+    """(n, 3) outwards."""
+
+
 @kernel(parallel=True)
 def facing_views(
     part: Part,
-    points: NDArray[np.float64],
-    normals: NDArray[np.float64],
+    vertices: Vertices,
     cameras: Cameras,
     facing: NDArray[np.bool_],
 ) -> None:
-    """Whether points (n, 3) lie in front of a camera, inside its image, and their normals towards it (n_views, n)."""
+    """Whether vertices lie in front of a camera, inside its image, and their normals towards it (n_views, n)."""
+    points, normals = vertices
     projections, centers, sizes = cameras.projections, cameras.centers, cameras.sizes
     for n in span(part, len(points)):
         for view in range(len(centers)):
@@ -31,20 +42,20 @@ def facing_views(
 @kernel(parallel=True)
 def agreed_colors(
     part: Part,
-    points: NDArray[np.float64],
-    normals: NDArray[np.float64],
+    vertices: Vertices,
     seen: NDArray[np.bool_],
     cameras: Cameras,
     images: NDArray[np.uint8],
     trust: NDArray[np.float32],
     colors: NDArray[np.float64],
 ) -> None:
-    """Weighted median of the pixels (n_views, height, width, 3) at points (n, 3) that views see (n_views, n).
+    """Weighted median of the pixels (n_views, height, width, 3) at vertices that views see (n_views, n).
 
     A pixel weighs trust (n_views, height, width) times cosine to the normal over footprint squared: how many pixels an
-    area gets. Points that no pixel with any trust shows keep their colour.
+    area gets. Vertices that no pixel with any trust shows keep their colour.
     """
     projections, centers, sizes = cameras.projections, cameras.centers, cameras.sizes
+    points, normals = vertices
     n_points, n_views = len(points), len(images)
     values = np.empty((3, n_views), np.float64)
     weights = np.empty(n_views, np.float64)

@@ -13,16 +13,8 @@ from numpy.typing import NDArray
 from recon3d.carving.depth_votes import MIN_DEVIATION
 from recon3d.checks import require_number, require_whole
 from recon3d.errors import ArgumentError
-from recon3d.kernels.patch_match import (
-    NOTHING,
-    HalfSweep,
-    Planes,
-    Search,
-    Surface,
-    WeightedWindow,
-    find_visible,
-    match_planes,
-)
+from recon3d.kernels.patch_match import NOTHING, HalfSweep, Planes, Search, WeightedWindow, match_planes
+from recon3d.kernels.surface_visibility import Surface, find_visible
 from recon3d.kernels.types import Camera, Cameras, Compared
 from recon3d.rendering.renderer import Renderer
 from recon3d.scene.scene import Scene

@@ -10,7 +10,7 @@ from scipy.sparse import coo_array
 from scipy.spatial import cKDTree
 
 from recon3d.errors import ArgumentError, EmptyReconstructionError
-from recon3d.kernels.vertex_colors import agreed_colors
+from recon3d.kernels.vertex_colors import Vertices, agreed_colors
 from recon3d.rendering.ray_caster import RayCaster
 from recon3d.rendering.renderer import pixel_rays
 from recon3d.scene.packed import PackedViews
@@ -76,7 +76,7 @@ def color(
     views = scene.packed
     colors = np.full((len(points), 3), np.nan)
     trust = _trust(caster, scene, views)
-    agreed_colors(points, normals, visibility.seen, views.cameras, views.images, trust, colors)
+    agreed_colors(Vertices(points, normals), visibility.seen, views.cameras, views.images, trust, colors)
     known = np.isfinite(colors[:, 0])
     if not known.any():
         raise EmptyReconstructionError(f"scene {scene.name}: no view shows any of the surface, so it has no colours")

@@ -8,7 +8,7 @@ import numpy as np
 import open3d as o3d
 from numpy.typing import NDArray
 
-from recon3d.kernels.vertex_colors import facing_views
+from recon3d.kernels.vertex_colors import Vertices, facing_views
 from recon3d.rendering.ray_caster import RayCaster
 from recon3d.scene.scene import Scene
 
@@ -40,7 +40,7 @@ class VertexVisibility:
         ends = vertices + _CLEARANCE * scene.pixel_footprint * normals
         views = scene.packed
         seen = np.empty((len(views), len(vertices)), np.bool_)
-        facing_views(vertices, normals, views.cameras, seen)
+        facing_views(Vertices(vertices, normals), views.cameras, seen)
         for row, center in zip(seen, views.cameras.centers, strict=True):
             row[row] = ~caster.hidden(center, ends[row])
         return cls(seen)
