@@ -13,7 +13,7 @@ from . import study as study
 from . import surface as surface
 from . import volume as volume
 from ._version import __version__ as __version__
-from .calibration import calibrate
+from .calibration import calibrate, turntable_cameras
 from .carving import METHODS, VisualHull, VoteCarving, VoxelColoring, carve
 from .consistency import TESTS, ConsistencyTest, FuzzyAdaptiveHysteresis, Patches, Verdict, load_test
 from .datasets import SCENES, little_temple
@@ -80,5 +80,6 @@ __all__ = [
     "render",
     "save",
     "show_mesh",
+    "turntable_cameras",
     "write_geometry",
 ]

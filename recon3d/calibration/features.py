@@ -33,7 +33,9 @@ MIN_INLIERS = 15
 """Matches that agree with one epipolar geometry, below which two photographs do not overlap."""
 
 _PAIRS_A_STEP = 200
-_GUESS_FOCAL = 1.2  # of the longer side: a normal lens
+GUESS_FOCAL = 1.2
+"""Focal length of a normal lens, of the longer side."""
+
 _COARSEST = 200  # features of the preemptive matching
 _PARTNERS = 20  # that it finds for a photograph
 _WINDOW = 10  # photographs before and after, matched in any case
@@ -157,7 +159,7 @@ def _register(database: Any, photographs: Sequence[PhotoFile]) -> None:
                 continue
             if photograph.lens not in cameras:
                 size = photograph.width, photograph.height
-                focal_length = photograph.focal_length or _GUESS_FOCAL * max(size)
+                focal_length = photograph.focal_length or GUESS_FOCAL * max(size)
                 camera = pycolmap.Camera.create_from_model_name(1, "SIMPLE_RADIAL", focal_length, *size)
                 camera.has_prior_focal_length = photograph.focal_length is not None
                 cameras[photograph.lens] = database.write_camera(camera)

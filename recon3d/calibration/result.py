@@ -77,6 +77,8 @@ class Calibration(Summarised):
     """Millimetres in one world unit; None: the scale is not known."""
     bounds: Bounds | None = None
     """Box around the object; None: not known."""
+    notes: Mapping[str, str] = field(default_factory=dict)
+    """What else was found, for tables."""
 
     @property
     def n_registered(self) -> int:
@@ -115,6 +117,7 @@ class Calibration(Summarised):
             "photographs a point": f"{self.track_lengths.mean():.1f}",
             "reprojection error (pixels)": f"{self.reprojection_error:.2f}",
             "scale": "not known" if self.mm_per_unit is None else f"{self.mm_per_unit:g} mm a unit",
+            **self.notes,
             **{f"not placed: {name}": reason for name, reason in self.unplaced.items()},
         }
 

@@ -71,16 +71,25 @@ def plain_photographs(scene: str) -> bool:
     return (path.is_dir() or scene not in SCENES) and bool(image_files(path)) and format_of(path) is None
 
 
-def calibrated(photographs: Path, output: Path, board: str | None = None, masks: Path | None = None) -> Calibration:
-    """Cameras of plain photographs, by a printed board where one is named; writes the scene to a folder."""
-    from recon3d.calibration import Board, calibrate, cameras_from_board
+def calibrated(
+    photographs: Path,
+    output: Path,
+    board: str | None = None,
+    turntable: str | None = None,
+    masks: Path | None = None,
+) -> Calibration:
+    """Cameras of plain photographs, by a printed board or a turntable where one is told; writes the scene."""
+    from recon3d.calibration import Board, Turntable, calibrate, cameras_from_board, cameras_from_turntable
 
-    if board is not None and masks is not None:
-        raise ArgumentError("--masks: the board alone is looked for, masks are not used; leave out --board or --masks")
+    given = [name for name, value in (("--board", board), ("--turntable", turntable), ("--masks", masks)) if value]
+    if len(given) > 1:
+        raise ArgumentError(f"expected one of {' and '.join(given)}: each is another way to find the cameras")
     with progress() as report:
-        if board is None:
-            return calibrate(photographs, output, masks=masks, progress=report)
-        return cameras_from_board(photographs, Board.parse(board), output=output, progress=report)
+        if board is not None:
+            return cameras_from_board(photographs, Board.parse(board), output=output, progress=report)
+        if turntable is not None:
+            return cameras_from_turntable(photographs, Turntable.parse(turntable), output=output, progress=report)
+        return calibrate(photographs, output, masks=masks, progress=report)
 
 
 def with_adjusted_cameras(scene: Scene, folder: Path) -> Scene:

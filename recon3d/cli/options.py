@@ -50,6 +50,18 @@ Board = Annotated[
 ]
 
 
+Turntable = Annotated[
+    str | None,
+    typer.Option(
+        metavar="step=10,distance=600,height=250,tilt=20",
+        help="The photographs are of a turntable, in the order of their names: degrees from each to the next "
+        "(counter-clockwise from above), the camera's distance from the axis and height above the platform in mm, and "
+        "by how many degrees it looks down; focal= in pixels, if not EXIF's.",
+        rich_help_panel=INPUT,
+    ),
+]
+
+
 Silhouettes = Annotated[
     str,
     typer.Option(

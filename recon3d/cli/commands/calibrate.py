@@ -19,6 +19,7 @@ def command(
         typer.Option("--output", "-o", metavar="SCENE", help="Folder for the scene.", rich_help_panel=OUTPUT),
     ],
     board: options.Board = None,
+    turntable: options.Turntable = None,
     masks: Annotated[
         Path | None,
         typer.Option(
@@ -30,5 +31,5 @@ def command(
     ] = None,
 ) -> None:
     """Find the cameras of photographs, and write them as a scene: undistorted images, COLMAP and transforms.json."""
-    say(calibrated(photographs, writable(output), board, masks).summary())
+    say(calibrated(photographs, writable(output), board, turntable, masks).summary())
     say({"scene": output})

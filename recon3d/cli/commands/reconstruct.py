@@ -67,6 +67,7 @@ def command(
     images: options.Images = None,
     bounds: options.Bounds = None,
     board: options.Board = None,
+    turntable: options.Turntable = None,
     mm_per_unit: options.MmPerUnit = None,
     n_voxels: Annotated[
         int | None,
@@ -162,11 +163,12 @@ def command(
     truth = read_mesh(ground_truth) if ground_truth else None
     if images is None and plain_photographs(scene):
         folder = writable(output or Path("recon3d-output") / Path(scene).resolve().name)
-        found = calibrated(Path(scene), folder / "scene", board)
+        found = calibrated(Path(scene), folder / "scene", board, turntable)
         say(found.summary())
         loaded = load(str(folder / "scene"), bounds, silhouettes, mm_per_unit)
-    elif board is not None:
-        raise ArgumentError(f"--board: {scene} has its own cameras; a board is for photographs alone")
+    elif board is not None or turntable is not None:
+        option = "--turntable" if board is None else "--board"
+        raise ArgumentError(f"{option}: {scene} has its own cameras; that is for photographs alone")
     else:
         loaded = load(scene, bounds, silhouettes, mm_per_unit, images)
         folder = writable(output or Path("recon3d-output") / loaded.name)
