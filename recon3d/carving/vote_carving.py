@@ -112,7 +112,7 @@ class VoteCarving(Method):
         volume = CarvingVolume.full(volume)
         neighbours = matching_neighbours(scene)
         # Smaller pixels do not make voxels say more, nor do voxels below a few pixels make the photographs.
-        shrink = max(1, int(volume.voxel_size / (_FINEST * scene.pixel_footprint)))
+        shrink = max(1, round(volume.voxel_size / (_FINEST * scene.pixel_footprint)))
         views, footprint = scene.packed_at(1 / shrink), shrink * scene.pixel_footprint
         resolution = max(volume.voxel_size, _FINEST * footprint)
         start_field = start_distance(scene, volume)
