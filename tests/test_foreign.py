@@ -239,12 +239,35 @@ def test_one_matrix_of_another_world_is_named(scene: Scene, tmp_path: Path) -> N
         open_scene(tmp_path)
 
 
-def test_poses_alone_are_refused_with_the_way_out(scene: Scene, tmp_path: Path) -> None:
+@pytest.mark.parametrize("one", [True, False])
+def test_poses_alone_are_refused_with_the_way_out(scene: Scene, tmp_path: Path, *, one: bool) -> None:
     write_photographs(scene, tmp_path / "images")
-    lines = (text(view.cam_from_world[:3].reshape(1, 12)) for view in scene.views)
-    (tmp_path / "poses.txt").write_text("\n".join(lines))
+    lines = [text(view.cam_from_world[:3].reshape(1, 12)) for view in scene.views]
+    (tmp_path / "pose").mkdir()
+    if one:
+        (tmp_path / "poses.txt").write_text("\n".join(lines))
+    else:
+        for n, line in enumerate(lines):
+            (tmp_path / f"pose/{n}.txt").write_text(f"{line} 0 0 0 1")
     with pytest.raises(DataError, match=r"without K; give K and the poses to recon3d.Scene.from_arrays"):
         open_scene(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("name", "told"),
+    [
+        ("fountain.log", "poses alone, no intrinsics: give K beside it"),
+        ("groundtruth.txt", "poses alone, no intrinsics: give K beside it"),
+        ("sfm.abc", "take cameras.sfm"),
+    ],
+)
+def test_what_lacks_something_is_refused_with_the_way_out(scene: Scene, tmp_path: Path, name: str, told: str) -> None:
+    write_photographs(scene, tmp_path)
+    rows = (f"{n} {n} 0\n{text(np.linalg.inv(view.cam_from_world))}\n" for n, view in enumerate(scene.views))
+    (tmp_path / name).write_text("".join(rows))
+    with pytest.raises(DataError, match="not a known scene") as error:
+        open_scene(tmp_path)
+    assert told in str(error.value)
 
 
 # Views that are left out

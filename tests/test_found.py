@@ -250,7 +250,7 @@ def test_a_box_in_another_unit_and_cameras_inside_a_box_are_told(temple: BuiltIn
         (["a.jpg", "b.jpg"], ["It holds 2 images", "photographs without calibration"]),
         (["a.jpg", "scan.log"], ["1 images, 1 .log", "poses alone, no intrinsics"]),
         (["sub/shots.MP4"], ["1 .mp4", "a video has no calibration"]),
-        (["a.png", "sfm_data.json"], ["OpenMVG"]),
+        (["a.png", "sfm_data.bin"], ["openMVG_main_ConvertSfM_DataFormat"]),
         ([], ["It holds nothing"]),
     ],
 )

@@ -45,7 +45,21 @@ from recon3d.scene.camera import ROTATION_TOLERANCE, Camera
 from recon3d.scene.mask_files import IMAGE_SUFFIXES
 from recon3d.scene.photograph import Photograph
 
-_FOLDERS = ("txt", "", "P", "Ps", "projections", "projection", "matrices", "calib", "calibration", "cameras", "cams")
+_FOLDERS = (
+    "txt",
+    "",
+    "P",
+    "Ps",
+    "projections",
+    "projection",
+    "matrices",
+    "calib",
+    "calibration",
+    "cameras",
+    "cams",
+    "pose",
+    "poses",
+)
 _PHOTOGRAPHS = ("visualize", *IMAGE_FOLDERS)
 _TEXT = frozenset({".txt", ".p", ".dat", ".csv", ".proj", ".projection"})
 _SUFFIXES = _TEXT | {".npy", ".mat"}
@@ -94,6 +108,11 @@ def read_matrices(path: Path, images: Path | None = None) -> Calibrated:
     empty = next((file for file in files if not held[file]), None)
     if empty is not None:
         raise DataError(f"{empty}: expected a projection matrix of 3x4 numbers, got none")
+    if all(_is_pose(matrix.P) for matrices in held.values() for matrix in matrices):
+        raise DataError(
+            f"{held[files[0]][0].where}: the left 3x3 parts are rotations: these are poses [R | t] alone, without K; "
+            "give K and the poses to recon3d.Scene.from_arrays, or write P = K [R | t]"
+        )
     whole = [file for file in files if len(held[file]) > 1]
     if len(whole) > 1:
         raise DataError(
@@ -109,11 +128,6 @@ def read_matrices(path: Path, images: Path | None = None) -> Calibrated:
         pairs = _pairs_of_files(alone, folders, str(files[0].parent))
     _warn_of_others(list(pairs), str((whole or files[:1])[0]))
     matrices, left_handed = signed({matrix.where: matrix.P for matrix in pairs.values()})
-    if all(_is_pose(P) for P in matrices.values()):
-        raise DataError(
-            f"{next(iter(matrices))}: the left 3x3 parts are rotations: these are poses [R | t] alone, without K; give "
-            "K and the poses to recon3d.Scene.from_arrays, or write P = K [R | t]"
-        )
     calibrated = {}
     for image, (where, _, _) in pairs.items():
         photograph = Photograph(image)
@@ -172,7 +186,9 @@ def _is_camera(P: NDArray[np.float64]) -> bool:
 
 
 def _is_pose(P: NDArray[np.float64]) -> bool:
-    return bool(np.abs(P[:, :3] @ P[:, :3].T - np.eye(3)).max() < ROTATION_TOLERANCE)
+    """Whether a matrix is [R | t], of whatever factor."""
+    R = P[:, :3] / max(float(np.linalg.norm(P[2, :3])), 1e-300)
+    return bool(np.abs(R @ R.T - np.eye(3)).max() < ROTATION_TOLERANCE)
 
 
 def _pairs(matrices: list[_Matrix], folders: list[Path], where: str) -> dict[Path, _Matrix]:
