@@ -24,6 +24,7 @@ from typer.testing import CliRunner
 from recon3d.calibration import Calibration, CalibrationSettings, calibrate
 from recon3d.calibration.epipolar import _without_bridges, firmly_joined
 from recon3d.calibration.features import extract_features, match_features, matched_pairs
+from recon3d.calibration.known_distance import KnownDistance, _triangulated, with_known_distance
 from recon3d.calibration.photographs import PhotoFile, find_photographs
 from recon3d.calibration.result import CalibratedCamera, Observations
 from recon3d.calibration.structure_from_motion import WORK_FOLDER
@@ -213,6 +214,40 @@ def test_plain_photographs_are_calibrated_before_they_are_reconstructed(
         CliRunner().invoke(
             app, ["reconstruct", str(tmp_path / "scene"), "--board", "charuco-10x7:25mm"], catch_exceptions=False
         )
+
+
+def test_a_known_distance_gives_the_scale(calibrated: tuple[Calibration, Path, Stages]) -> None:
+    """Two edges of the box, 1.6 units or 800 mm apart, looked up in two photographs, and in one."""
+    calibration = calibrated[0]
+    lenses = [CalibratedCamera("", Path(), WIDTH, HEIGHT, c.K, DISTORTION, c.cam_from_world) for c in taken()]
+    pixels = {(n, x): lenses[n].project(np.array([[x, 0.6, 0.6]]))[0] for n in (2, 8) for x in (-0.8, 0.8)}
+    place = {key: f"p{key[0]:02d}.png:{u:.3f},{v:.3f}" for key, (u, v) in pixels.items()}
+    ends = [f"{place[2, x]}+{place[8, x]}" for x in (-0.8, 0.8)]
+    found = with_known_distance(calibration, KnownDistance.parse(f"{ends[0]} {ends[1]} = 800mm"))
+    assert found.mm_per_unit == 1000
+
+    def height(scaled: Calibration) -> float:
+        """Length of an edge of one unit, half a metre, triangulated from where the true cameras show its ends."""
+        low, high = (np.array([[0.8, 0.6, z]]) for z in (0.1, 1.1))
+        places = [np.array([lens.project(end)[0] for lens in lenses]) for end in (low, high)]
+        return float(np.linalg.norm(np.subtract(*(_triangulated(scaled.cameras, place) for place in places))))
+
+    assert height(found) == pytest.approx(0.5, rel=0.01)
+    rough = with_known_distance(calibration, KnownDistance.parse(f"{place[8, -0.8]} {place[8, 0.8]} = 800 mm"))
+    assert height(rough) == pytest.approx(0.5, rel=0.1)
+    assert rough.summary()["scale"] == "1000 mm a unit"
+    with pytest.raises(ArgumentError, match="not of one place"):
+        with_known_distance(calibration, KnownDistance.parse(f"{place[2, 0.8]}+p08.png:3,3 {ends[1]} = 800mm"))
+    with pytest.raises(ArgumentError, match=r"q_blurred\.png has no camera: blurred"):
+        with_known_distance(calibration, KnownDistance.parse(f"q_blurred.png:3,3 {ends[1]} = 800mm"))
+    for text in (
+        "p02.png:1,2 = 3mm",
+        f"{ends[0]} {ends[1]} = 3",
+        f"{ends[0]} {ends[1]} = 0mm",
+        "a:1,2 b:1.2.3,4 = 5mm",
+    ):
+        with pytest.raises(ArgumentError, match="expected a distance like"):
+            KnownDistance.parse(text)
 
 
 def test_undistorted_photograph_is_what_a_pinhole_takes(scene: Scene, folder: Path) -> None:

@@ -142,10 +142,11 @@ def upright_world(calibration: Calibration) -> Calibration:
     return transformed(calibration, Similarity(scale, R, -scale * R @ origin))
 
 
-def transformed(calibration: Calibration, world: Similarity) -> Calibration:
-    """The calibration in another world frame."""
+def transformed(calibration: Calibration, world: Similarity, *, mm_per_unit: float | None = None) -> Calibration:
+    """The calibration in another world frame, of that unit; bounds are lost."""
     cameras = (replace(camera, cam_from_world=world.camera(camera.cam_from_world)) for camera in calibration.cameras)
-    return replace(calibration, cameras=tuple(cameras), points=world(calibration.points))
+    points = world(calibration.points)
+    return replace(calibration, cameras=tuple(cameras), points=points, mm_per_unit=mm_per_unit, bounds=None)
 
 
 def _lens(camera: CalibratedCamera) -> str:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from recon3d.calibration.colmap import load_pycolmap
 from recon3d.calibration.features import extract_features, feature_scales, match_features, matched_pairs
+from recon3d.calibration.known_distance import KnownDistance, with_known_distance
 from recon3d.calibration.mapping import map_photographs, refine_intrinsics
 from recon3d.calibration.photographs import PhotoFile, duplicates, find_photographs, unread
 from recon3d.calibration.reasons import advice, reasons_of
@@ -36,6 +37,7 @@ def calibrate(
     output: Path | str,
     *,
     masks: Path | str | None = None,
+    known_distance: KnownDistance | str | None = None,
     settings: CalibrationSettings | None = None,
     progress: StageProgress | None = None,
 ) -> Calibration:
@@ -51,6 +53,8 @@ def calibrate(
     output : folder that gets ``images`` (undistorted), ``sparse/0`` (COLMAP), ``transforms.json`` (nerfstudio) and
         ``calibration.json`` (the photographs' own cameras, and which were not placed).
     masks : folder of masks, 0 where nothing must be matched, as on the background of a turntable.
+    known_distance : between two points that can be found in the photographs, or its text
+        ``a.jpg:812,400+b.jpg:790,405 a.jpg:210,410+b.jpg:190,420 = 120mm``. The world is then in metres.
     progress : called with the stage's name, its steps that are done and how many it has. Whatever it raises ends the
         run, which can be resumed.
 
@@ -60,6 +64,7 @@ def calibrate(
     CalibrationError : pycolmap is missing, or too few photographs could be placed; says what to change.
     """
     settings = settings or CalibrationSettings()
+    known = KnownDistance.parse(known_distance) if isinstance(known_distance, str) else known_distance
     report = _silent if progress is None else progress
     output = Path(output)
     found = find_photographs(photographs, masks=masks)
@@ -81,6 +86,8 @@ def calibrate(
     unplaced |= others | {name: f"the same file as {first}" for name, first in repeated.items()}
     model = load_pycolmap().Reconstruction(kept)
     calibration = upright_world(_calibration(model, distinct, dict(sorted(unplaced.items()))))
+    if known is not None:
+        calibration = with_known_distance(calibration, known)
     write_calibration(calibration, output, report)
     return calibration
 

@@ -77,6 +77,7 @@ def calibrated(
     board: str | None = None,
     turntable: str | None = None,
     masks: Path | None = None,
+    known_distance: str | None = None,
 ) -> Calibration:
     """Cameras of plain photographs, by a printed board or a turntable where one is told; writes the scene."""
     from recon3d.calibration import Board, Turntable, calibrate, cameras_from_board, cameras_from_turntable
@@ -84,12 +85,14 @@ def calibrated(
     given = [name for name, value in (("--board", board), ("--turntable", turntable), ("--masks", masks)) if value]
     if len(given) > 1:
         raise ArgumentError(f"expected one of {' and '.join(given)}: each is another way to find the cameras")
+    if known_distance is not None and (board is not None or turntable is not None):
+        raise ArgumentError("--known-distance: the scale is known by --board or --turntable already")
     with progress() as report:
         if board is not None:
             return cameras_from_board(photographs, Board.parse(board), output=output, progress=report)
         if turntable is not None:
             return cameras_from_turntable(photographs, Turntable.parse(turntable), output=output, progress=report)
-        return calibrate(photographs, output, masks=masks, progress=report)
+        return calibrate(photographs, output, masks=masks, known_distance=known_distance, progress=report)
 
 
 def with_adjusted_cameras(scene: Scene, folder: Path) -> Scene:

@@ -62,6 +62,17 @@ Turntable = Annotated[
 ]
 
 
+KnownDistance = Annotated[
+    str | None,
+    typer.Option(
+        metavar="'IMAGE:U,V IMAGE:U,V = 120mm'",
+        help="Scale of plain photographs: two points, each by its pixel in one photograph, or, more exact, in several "
+        "(IMAGE:U,V+IMAGE:U,V), and what was measured between them.",
+        rich_help_panel=INPUT,
+    ),
+]
+
+
 Silhouettes = Annotated[
     str,
     typer.Option(

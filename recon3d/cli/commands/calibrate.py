@@ -20,6 +20,7 @@ def command(
     ],
     board: options.Board = None,
     turntable: options.Turntable = None,
+    known_distance: options.KnownDistance = None,
     masks: Annotated[
         Path | None,
         typer.Option(
@@ -31,5 +32,5 @@ def command(
     ] = None,
 ) -> None:
     """Find the cameras of photographs, and write them as a scene: undistorted images, COLMAP and transforms.json."""
-    say(calibrated(photographs, writable(output), board, turntable, masks).summary())
+    say(calibrated(photographs, writable(output), board, turntable, masks, known_distance).summary())
     say({"scene": output})

@@ -68,6 +68,7 @@ def command(
     bounds: options.Bounds = None,
     board: options.Board = None,
     turntable: options.Turntable = None,
+    known_distance: options.KnownDistance = None,
     mm_per_unit: options.MmPerUnit = None,
     n_voxels: Annotated[
         int | None,
@@ -163,12 +164,13 @@ def command(
     truth = read_mesh(ground_truth) if ground_truth else None
     if images is None and plain_photographs(scene):
         folder = writable(output or Path("recon3d-output") / Path(scene).resolve().name)
-        found = calibrated(Path(scene), folder / "scene", board, turntable)
+        found = calibrated(Path(scene), folder / "scene", board, turntable, None, known_distance)
         say(found.summary())
         loaded = load(str(folder / "scene"), bounds, silhouettes, mm_per_unit)
-    elif board is not None or turntable is not None:
-        option = "--turntable" if board is None else "--board"
-        raise ArgumentError(f"{option}: {scene} has its own cameras; that is for photographs alone")
+    elif any(option is not None for option in (board, turntable, known_distance)):
+        raise ArgumentError(
+            f"{scene} has its own cameras; --board, --turntable and --known-distance are for photographs alone"
+        )
     else:
         loaded = load(scene, bounds, silhouettes, mm_per_unit, images)
         folder = writable(output or Path("recon3d-output") / loaded.name)
