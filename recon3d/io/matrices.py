@@ -15,10 +15,8 @@ from __future__ import annotations
 
 import re
 import warnings
-from collections.abc import Iterator
 from itertools import islice
 from pathlib import Path
-from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +24,7 @@ from numpy.typing import NDArray
 from recon3d.errors import DataError
 from recon3d.io.calibrated import Calibrated, CalibratedImage
 from recon3d.io.handedness import signed
-from recon3d.io.mat_file import read_mat
+from recon3d.io.matrix_files import MOST, SUFFIXES, Matrix, matrices_in
 from recon3d.io.reading import (
     IMAGE_FOLDERS,
     UNIT_UNKNOWN,
@@ -36,53 +34,22 @@ from recon3d.io.reading import (
     in_order,
     listed,
     natural,
-    number_fields,
     numbered,
-    read_text,
     views_named,
 )
 from recon3d.scene.camera import ROTATION_TOLERANCE, Camera
-from recon3d.scene.mask_files import IMAGE_SUFFIXES
 from recon3d.scene.photograph import Photograph
 
 _FOLDERS = (
-    "txt",
-    "",
-    "P",
-    "Ps",
-    "projections",
-    "projection",
-    "matrices",
-    "calib",
-    "calibration",
-    "cameras",
-    "cams",
-    "pose",
+    "txt", "", "P", "Ps", "projections", "projection", "matrices", "calib", "calibration", "cameras", "cams", "pose",
     "poses",
-)
+)  # fmt: skip
 _PHOTOGRAPHS = ("visualize", *IMAGE_FOLDERS)
-_TEXT = frozenset({".txt", ".p", ".dat", ".csv", ".proj", ".projection"})
-_SUFFIXES = _TEXT | {".npy", ".mat"}
-_MOST = 16 * 2**20  # bytes of a file
 _MANY = 100_000  # files of a folder, and matrices
 _PROBED = 3  # files of one form that are looked at to recognise them
 _SKEWED = 0.3  # of the focal length
 _UNEVEN = 5.0  # ratio of the focal lengths
-_COUNTS = (4, 12, 16)  # numbers of a line
-_NAMED = re.compile(
-    rf"(\S.*?(?:{'|'.join(map(re.escape, sorted(IMAGE_SUFFIXES)))}))(?:[\s,;:]+(.*)|)", re.IGNORECASE | re.DOTALL
-)
 _ADDED = re.compile(r"([._-](P|proj(ection)?|cam(era)?|matrix|calib))+$", re.IGNORECASE)
-
-
-class _Matrix(NamedTuple):
-    """A projection matrix and where it stands."""
-
-    where: str
-    name: str
-    """Of the photograph; empty where the file does not say."""
-    P: NDArray[np.float64]
-    """(3, 4)."""
 
 
 def is_matrices(path: Path) -> bool:
@@ -104,7 +71,7 @@ def read_matrices(path: Path, images: Path | None = None) -> Calibrated:
     files = _files(path)
     if not files:
         raise DataError(f"{path}: expected projection matrices, 3x4 numbers each")
-    held = {file: list(islice(_matrices(file), _MANY)) for file in files}
+    held = {file: list(islice(matrices_in(file), _MANY)) for file in files}
     empty = next((file for file in files if not held[file]), None)
     if empty is not None:
         raise DataError(f"{empty}: expected a projection matrix of 3x4 numbers, got none")
@@ -166,10 +133,10 @@ def _form(file: Path) -> str:
 
 
 def _holds(file: Path) -> bool:
-    if file.suffix.lower() not in _SUFFIXES or not file.is_file() or file.stat().st_size > _MOST:
+    if file.suffix.lower() not in SUFFIXES or not file.is_file() or file.stat().st_size > MOST:
         return False
     try:
-        first = next(_matrices(file), None)
+        first = next(matrices_in(file), None)
     except DataError:
         return False
     return first is not None and _is_camera(first.P)
@@ -191,7 +158,7 @@ def _is_pose(P: NDArray[np.float64]) -> bool:
     return bool(np.abs(R @ R.T - np.eye(3)).max() < ROTATION_TOLERANCE)
 
 
-def _pairs(matrices: list[_Matrix], folders: list[Path], where: str) -> dict[Path, _Matrix]:
+def _pairs(matrices: list[Matrix], folders: list[Path], where: str) -> dict[Path, Matrix]:
     """Photographs and matrices of one file: by the names in it, or in order."""
     names = [matrix.name for matrix in matrices]
     if all(names):
@@ -203,7 +170,7 @@ def _pairs(matrices: list[_Matrix], folders: list[Path], where: str) -> dict[Pat
     return dict(zip(in_order(len(matrices), photographs, where), matrices, strict=True))
 
 
-def _pairs_of_files(matrices: list[_Matrix], folders: list[Path], where: str) -> dict[Path, _Matrix]:
+def _pairs_of_files(matrices: list[Matrix], folders: list[Path], where: str) -> dict[Path, Matrix]:
     """Photographs and matrices of their own files: by name, else by number, else in order."""
     for folder in folders:
         found = {matrix.name: image for matrix in matrices if (image := find_image(folder, matrix.name))}
@@ -223,89 +190,3 @@ def _warn_of_others(taken: list[Path], where: str) -> None:
     others = [image.name for image in image_files(taken[0].parent) if image not in taken]
     if others:
         warnings.warn(f"{where}: left out, there is no matrix for them: {listed(others)}", stacklevel=5)
-
-
-def _matrices(file: Path) -> Iterator[_Matrix]:
-    """Matrices of a file, one after another."""
-    suffix = file.suffix.lower()
-    if suffix in _TEXT:
-        yield from _of_text(file)
-        return
-    if suffix == ".npy":
-        try:
-            arrays = {"": np.load(file, mmap_mode="r", allow_pickle=False)}
-        except Exception as error:  # NumPy raises whatever a malformed header leads it to
-            raise DataError(f"{file}: not readable as NPY: {error}") from None
-    else:
-        arrays = read_mat(file)
-    by_name = {name: found for name in sorted(arrays, key=natural) if (found := _of_array(arrays[name]))}
-    several = {name: found for name, found in by_name.items() if len(found) > 1}
-    if len(several) > 1:
-        raise DataError(f"{file}: expected one array of projection matrices, found {', '.join(several)}")
-    for name, found in (several or by_name).items():
-        for n, P in enumerate(found):
-            where = f"{file}: {name or 'array'}{f'[{n}]' if len(found) > 1 else ''}"
-            yield _Matrix(where, "", _checked(P, where))
-
-
-def _of_array(array: NDArray[np.generic]) -> list[NDArray[np.generic]]:
-    """The matrices in an array (n, 3, 4), (3, 4, n), (n, 12), (3 n, 4) or of arrays; empty where it holds none."""
-    if array.dtype == object:
-        cells: list[Any] = list(array.ravel(order="F"))
-        return cells if all(cell is not None and cell.shape in ((3, 4), (4, 4)) for cell in cells) else []
-    if not np.issubdtype(array.dtype, np.number) or np.iscomplexobj(array):
-        return []
-    if array.shape in ((3, 4), (4, 4)):
-        return [array]
-    if array.ndim == 3 and array.shape[1:] in ((3, 4), (4, 4)):
-        return list(array)
-    if array.ndim == 3 and array.shape[:2] in ((3, 4), (4, 4)):
-        return list(np.moveaxis(array, 2, 0))
-    if array.ndim == 2 and array.shape[1] == 12:
-        return list(array.reshape(-1, 3, 4))
-    if array.ndim == 2 and array.shape[1] == 4 and array.shape[0] % 3 == 0:
-        return list(array.reshape(-1, 3, 4))
-    return []
-
-
-def _of_text(file: Path) -> Iterator[_Matrix]:
-    name, begun = "", str(file)
-    rows: list[NDArray[np.float64]] = []
-    for number, line in enumerate(read_text(file, _MOST).splitlines(), start=1):
-        plain, where = re.sub(r"(#|%|//).*", "", line).strip(), f"{file}:{number}"
-        if named := _NAMED.fullmatch(plain):
-            name, plain = named[1], named[2] or ""
-        words = number_fields(plain, _COUNTS)
-        if not words or plain.upper() == "CONTOUR":
-            continue
-        if len(words) == 1 and not rows and words[0].isdecimal():
-            continue  # how many there are
-        if len(words) not in _COUNTS:
-            raise DataError(f"{where}: expected 4, 12 or 16 numbers, got {line.strip():.80}")
-        try:
-            values = np.array([float(word) for word in words])
-        except ValueError:
-            raise DataError(f"{where}: expected numbers, got {line.strip():.80}") from None
-        if len(words) > 4:
-            yield _Matrix(where, name, _checked(values.reshape(-1, 4), where))
-            name = ""
-            continue
-        if not rows and (values == [0, 0, 0, 1]).all():
-            continue  # the last row of a 4x4
-        begun = begun if rows else where
-        rows.append(values)
-        if len(rows) == 3:
-            yield _Matrix(begun, name, _checked(np.array(rows), begun))
-            name, rows = "", []
-    if rows:
-        raise DataError(f"{begun}: expected three rows of a projection matrix, got {len(rows)}")
-
-
-def _checked(P: NDArray[np.generic], where: str) -> NDArray[np.float64]:
-    """(3, 4) finite numbers."""
-    matrix = np.asarray(P, np.float64)
-    if not np.isfinite(matrix).all() or not np.abs(matrix).max() < 1e100:
-        raise DataError(f"{where}: expected a projection matrix of finite numbers, got {matrix.tolist()!r:.200}")
-    if len(matrix) == 4 and np.abs(matrix[3] - [0, 0, 0, 1]).max() > 1e-9 * max(abs(matrix[3, 3]), 1):
-        raise DataError(f"{where}: expected the last row 0 0 0 1 of a 4x4 matrix, got {matrix[3]}")
-    return matrix[:3]
