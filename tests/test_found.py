@@ -286,7 +286,7 @@ def test_where_the_background_is_not_dark_and_the_box_was_found_there_are_no_sil
     for view in temple.scene.views:
         assert view.silhouette is not None
         image = np.where(view.silhouette[..., None], view.image, np.uint8(220))
-        image[:, :40] = 220
+        image[:, :40], image[:, 90:] = (220, 220, 30), (60, 90, 220)
         write_image(bare / view.name, image)
     points = np.random.default_rng(0).uniform(temple.scene.bounds.low, temple.scene.bounds.high, (300, 3))
     write_colmap(without_skew(temple.scene), bare / "sparse", points=points)
@@ -397,3 +397,35 @@ def test_image_kinds_are_read_right_or_refused_with_the_reason(tmp_path: Path) -
     (tmp_path / "a.heic").write_bytes(b"\0\0\0\x18ftypheic")
     with pytest.raises(DataError, match=r"a\.heic: not a readable image; save it as PNG or JPEG"):
         read_image(tmp_path / "a.heic")
+
+
+@pytest.mark.parametrize("color", [(30, 60, 200), (245, 245, 245), (0, 177, 64), (120, 120, 120)])
+def test_objects_before_a_background_of_any_one_color_are_cut_out(
+    temple: BuiltInScene, tmp_path: Path, color: tuple[int, int, int]
+) -> None:
+    rng = np.random.default_rng(0)
+    views = []
+    for view in temple.scene.views:
+        noise = rng.integers(-3, 4, view.image.shape)
+        behind = np.clip(np.array(color) + noise, 0, 255).astype(np.uint8)
+        assert view.silhouette is not None
+        views.append(replace(view, photograph=np.where(view.silhouette[..., None], view.image, behind), mask=None))
+    read = open_scene(write_middlebury(replace(temple.scene, views=tuple(views)), tmp_path / "set"))
+    for view, true in zip(read.views, temple.scene.views, strict=True):
+        assert view.silhouette is not None
+        assert true.silhouette is not None
+        shared = (view.silhouette & true.silhouette).sum()
+        assert shared > 0.995 * true.silhouette.sum()
+        assert shared > 0.95 * view.silhouette.sum()  # small holes are filled, as shadows
+
+
+def test_a_background_of_many_colors_is_refused(temple: BuiltInScene, tmp_path: Path) -> None:
+    views = []
+    for view in temple.scene.views:
+        assert view.silhouette is not None
+        behind = np.zeros_like(view.image)
+        behind[:, ::2], behind[:, 1::2] = (200, 40, 30), (30, 60, 200)
+        views.append(replace(view, photograph=np.where(view.silhouette[..., None], view.image, behind), mask=None))
+    folder = write_middlebury(replace(temple.scene, views=tuple(views)), tmp_path / "set")
+    with pytest.raises(SceneError, match=r"not dark, nor of one color\? For that give silhouettes"):
+        open_scene(folder)

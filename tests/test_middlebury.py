@@ -301,10 +301,10 @@ def test_a_box_that_leaves_most_images_is_an_error(folder: Path) -> None:
 
 def test_a_box_that_cuts_the_object_off_is_refused_in_a_readme_and_warned_of_when_given(folder: Path) -> None:
     shifted = Bounds([0, 0, -0.5], [1, 1, 0.5])
-    with pytest.warns(UserWarning, match=r"the bounding box holds .*% of the bright pixels"):
+    with pytest.warns(UserWarning, match=r"the bounding box holds .*% of what is bright"):
         open_scene(folder, bounds=shifted)
     (folder / "README.txt").write_text(README.format(low="(0 0 -0.5)", high="(1 1 0.5)"))
-    with pytest.raises(SceneError, match=r"the bounding box holds .*% of the bright pixels"):
+    with pytest.raises(SceneError, match=r"the bounding box holds .*% of what is bright"):
         open_scene(folder)
 
 
@@ -390,7 +390,7 @@ def test_another_real_sets_box_is_refused_even_when_given(real_data: Path) -> No
 def test_half_of_a_real_sets_box_is_warned_of_when_given(real_data: Path) -> None:
     whole = read_bounds(real_data / "templeSparseRing")
     half = Bounds(whole.low, np.subtract(whole.high, [0, whole.extent[1] / 2, 0]))
-    with pytest.warns(UserWarning, match=r"holds .*% of the bright pixels"):
+    with pytest.warns(UserWarning, match=r"holds .*% of what is bright"):
         scene = open_scene(real_data / "templeSparseRing", bounds=half)
     assert scene.bounds == half
 
@@ -412,5 +412,5 @@ def test_a_bright_background_is_told_from_a_wrong_box(temple: BuiltInScene, tmp_
         views.append(replace(view, photograph=image, mask=None))
     folder = write_middlebury(replace(temple.scene, views=tuple(views)), tmp_path / "bright")
     with pytest.raises(SceneError, match="a background that is not dark"):
-        open_scene(folder)
+        open_scene(folder, silhouettes="threshold")
     assert all(view.silhouette is None for view in open_scene(folder, silhouettes="none").views)

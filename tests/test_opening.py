@@ -115,6 +115,6 @@ def test_a_box_is_still_checked_where_all_photographs_can_be_looked_at(
     decoded = []
     decode = ImageFile.decode
     monkeypatch.setattr(ImageFile, "decode", lambda file, **options: decoded.append(file) or decode(file, **options))
-    with pytest.warns(UserWarning, match=r"holds .*% of the bright pixels"):
+    with pytest.warns(UserWarning, match=r"holds .*% of what is bright"):
         open_scene(folder, silhouettes="segmented", bounds=Bounds(temple.scene.bounds.center, temple.scene.bounds.high))
     assert len(decoded) == len(temple.scene.views)

@@ -385,8 +385,11 @@ def test_the_level_of_the_background_is_the_percentile_of_all_its_pixels() -> No
             replace(plain_view(name=name), photograph=rng.integers(0, brightest, (30, 40, 3), dtype=np.uint8))
             for name in "abc"
         )
-        beyond = np.concatenate([view.image[~bounds_mask(box, view)].max(axis=1) for view in views])
-        assert _Background(views, box).level == pytest.approx(float(np.percentile(beyond, 99)) / 255, abs=1e-12)
+        background = _Background(views, box)
+        color = np.array(background.color, np.int64)
+        assert (color.max() > 0) == (brightest == 256)
+        beyond = np.concatenate([np.abs(view.image[~bounds_mask(box, view)] - color).max(axis=1) for view in views])
+        assert background.level == pytest.approx(float(np.percentile(beyond, 99)) / 255, abs=1e-12)
 
 
 def folders() -> Scene:

@@ -40,6 +40,8 @@ from recon3d.scene.mask_files import fitting_masks, mask_folders, masks_of_views
 from recon3d.scene.names import stems_of
 from recon3d.scene.scene import Scene
 from recon3d.scene.silhouettes import (
+    BLACK,
+    background_color,
     bounds_mask,
     foreground,
     with_mask_files,
@@ -156,9 +158,9 @@ def open_scene(
     if silhouettes == "none":
         return scene
     if silhouettes == "auto" and told_box:  # neither the box nor the background is sure
-        dark = _check_foreground(scene, must_fit=False, otherwise="; no silhouettes are made")
-        return with_segmented_silhouettes(scene, only=found.masked) if dark else scene
-    _check_foreground(scene, must_fit=bounds is None and not told_box)
+        plain = _check_foreground(scene, must_fit=False, otherwise="; no silhouettes are made")
+        return with_segmented_silhouettes(scene, only=found.masked) if plain else scene
+    _check_foreground(scene, must_fit=bounds is None and not told_box, dark=silhouettes == "threshold")
     return _MADE[str(silhouettes)](scene, only=found.masked)
 
 
@@ -298,11 +300,12 @@ def _off_center(view: View, box: Bounds) -> float:
     return float(np.abs((pixels[0] + 0.5) / half - 1).max()) if depth[0] > 0 else np.inf
 
 
-def _check_foreground(scene: Scene, *, must_fit: bool, otherwise: str = "") -> bool:
-    """Refuse a box that cuts a bright object on a dark background off, or warn of it; looks at some of many views.
+def _check_foreground(scene: Scene, *, must_fit: bool, dark: bool = False, otherwise: str = "") -> bool:
+    """Refuse a box that cuts an object on a background of one color off, or warn of it; looks at some of many views.
 
     Parameters
     ----------
+    dark : the background must be dark.
     otherwise : end of the warning.
 
     Returns
@@ -313,20 +316,23 @@ def _check_foreground(scene: Scene, *, must_fit: bool, otherwise: str = "") -> b
     pixels = sum(view.width * view.height for view in scene.views) / n
     looked_at = int(np.clip(_CHECKED / pixels, min(_FEWEST, n), n))
     shares, lit = [], []
-    for view in (scene.views[k] for k in np.linspace(0, n - 1, looked_at).round().astype(int)):
-        bright = foreground(view.image)
+    chosen = [scene.views[k] for k in np.linspace(0, n - 1, looked_at).round().astype(int)]
+    color = BLACK if dark else background_color(chosen, scene.bounds)
+    for view in chosen:
+        bright = foreground(view.image, color=color)
         within = bounds_mask(scene.bounds, view)
         held, all_bright, beside = (int(np.count_nonzero(mask)) for mask in (bright & within, bright, ~within))
         shares.append(held / max(all_bright, 1))
         lit.append((all_bright - held) / max(beside, 1))
-    # A box that fills the image holds what is bright though the little beside it is no dark background.
+    # A box that fills the image holds what stands out though the little beside it is no plain background.
     if np.median(shares) >= 0.9 and (must_fit or np.median(lit) <= _LIT):
         return True
+    stands_out = "is bright" if color == BLACK else f"is not of the background's color {color}"
     message = (
-        f"{scene.name}: the bounding box holds {100 * np.median(shares):.0f}% of the bright pixels of the "
-        f"median image, and {100 * np.median(lit):.0f}% of the pixels outside it are bright. Is this another set's box "
-        "(every set has its own world frame), or a background that is not "
-        "dark? For that give silhouettes as a folder of masks, or none"
+        f"{scene.name}: the bounding box holds {100 * np.median(shares):.0f}% of what {stands_out} in the median "
+        f"image, and {100 * np.median(lit):.0f}% of the pixels outside it are so. Is this another set's box (every set "
+        "has its own world frame), or a background that is not dark, nor of one color? For that give silhouettes as a "
+        "folder of masks, or none"
     )
     if must_fit:
         raise SceneError(message)

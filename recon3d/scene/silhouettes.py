@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import warnings
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from os import cpu_count
@@ -39,15 +39,39 @@ BACKGROUND_LEVEL = 0.19
 """Fraction of white below which a pixel is dark background (the Middlebury dinoSparseRing recipe)."""
 
 
-def foreground(image: NDArray[np.uint8], level: float = BACKGROUND_LEVEL) -> NDArray[np.bool_]:
-    """(height, width) pixels of an RGB image whose brightest channel is above a fraction of white."""
-    return brightness(image) > level * 255
+BLACK = (0, 0, 0)
 
 
-def brightness(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """(height, width) brightest channel of an RGB image."""
-    red, green, blue = cv2.split(image)
+def foreground(
+    image: NDArray[np.uint8], level: float = BACKGROUND_LEVEL, color: tuple[int, int, int] = BLACK
+) -> NDArray[np.bool_]:
+    """(height, width) pixels of an RGB image that differ from a background's color by more than a fraction of white."""
+    return difference(image, color) > level * 255
+
+
+def difference(image: NDArray[np.uint8], color: tuple[int, int, int] = BLACK) -> NDArray[np.uint8]:
+    """(height, width) largest difference of an RGB image's channels from a color; from black, the brightest channel."""
+    red, green, blue = cv2.split(image if color == BLACK else cv2.absdiff(image, np.array(color, np.float64)))
     return np.asarray(cv2.max(cv2.max(red, green), blue), np.uint8)
+
+
+def background_color(views: Iterable[View], bounds: Bounds) -> tuple[int, int, int]:
+    """Median color, RGB, of what views show outside the projected bounds; black where it is dark, or all are full."""
+    return _median_color(np.sum([_histograms(view, bounds)[1:] for view in views], axis=0))
+
+
+def _histograms(view: View, bounds: Bounds) -> NDArray[np.int64]:
+    """(4, 256) numbers of pixels outside the projected bounds, by their brightest channel, and by red, green, blue."""
+    image, outside = view.image, np.asarray(~bounds_mask(bounds, view), np.uint8)
+    pictures = (difference(image), *cv2.split(image))
+    return np.array([cv2.calcHist([each], [0], outside, [256], [0, 256]).ravel() for each in pictures]).astype(np.int64)
+
+
+def _median_color(counts: NDArray[np.int64]) -> tuple[int, int, int]:
+    """Color of (3, 256) numbers of pixels by channel."""
+    n = int(counts[0].sum())
+    red, green, blue = (int(np.searchsorted(channel.cumsum(), n / 2)) for channel in counts)
+    return (red, green, blue) if n and max(red, green, blue) > BACKGROUND_LEVEL * 255 else BLACK
 
 
 def bounds_mask(bounds: Bounds, view: View) -> NDArray[np.bool_]:
@@ -91,11 +115,12 @@ def with_threshold_silhouettes(
 
 
 def with_segmented_silhouettes(scene: Scene, *, only: Collection[str] | None = None) -> Scene:
-    """Scene with silhouettes cut out along the strongest edges, for an object before a darker background.
+    """Scene with silhouettes cut out along the strongest edges, for an object before a background of one color.
 
-    Pixels outside the projected bounds are background for certain. Pixels brighter than nearly all of those, of all
-    views, are object but for a rim, whose fate GrabCut decides by colour and contrast; so dark shadows on the object
-    stay in it, and the outline is exact to about half a pixel. Each is made when it is first asked for.
+    Pixels outside the projected bounds are background for certain; their median color is the background's, or black
+    where that is dark. Pixels that differ from it by more than nearly all of those, of all views, are object but for a
+    rim, whose fate GrabCut decides by color and contrast; so dark shadows on the object stay in it, and the outline is
+    exact to about half a pixel. Each is made when it is first asked for.
 
     Parameters
     ----------
@@ -148,31 +173,41 @@ class _Background(ByContent):
 
     views: tuple[View, ...]
     bounds: Bounds
-    _level: Once[float] = field(default_factory=Once, init=False, repr=False, compare=False)
+    _found: Once[tuple[tuple[int, int, int], float]] = field(
+        default_factory=Once, init=False, repr=False, compare=False
+    )
     _fingerprint: Once[str] = field(default_factory=Once, init=False, repr=False, compare=False)
 
     def __hash__(self) -> int:
         return hash((len(self.views), self.bounds))  # every view's mask asks for it
 
     @property
-    def level(self) -> float:
-        """Fraction of white that 99% of its pixels do not exceed."""
-        return self._level.get(self._find_level)
+    def color(self) -> tuple[int, int, int]:
+        """Its color, RGB."""
+        return self._found.get(self._find)[0]
 
-    def _find_level(self) -> float:
+    @property
+    def level(self) -> float:
+        """Fraction of white that 99% of its pixels do not differ by from the color."""
+        return self._found.get(self._find)[1]
+
+    def _find(self) -> tuple[tuple[int, int, int], float]:
         with ThreadPoolExecutor(cpu_count()) as pool:  # OpenCV and numpy release the interpreter lock
-            counts = np.sum(list(pool.map(self._histogram, self.views)), axis=0)
+            by_channel = np.sum(list(pool.map(lambda view: _histograms(view, self.bounds), self.views)), axis=0)
+            color, counts = _median_color(by_channel[1:]), by_channel[0]
+            if color != BLACK:
+                counts = np.sum(list(pool.map(lambda view: self._histogram(view, color), self.views)), axis=0)
         n = int(counts.sum())
         if n == 0:
-            return BACKGROUND_LEVEL
+            return color, BACKGROUND_LEVEL
         # Linear between the two pixels, in order of brightness, that the percentile lies between.
         place = 0.99 * (n - 1)
         below, above = np.searchsorted(counts.cumsum(), [np.floor(place), np.ceil(place)], side="right")
-        return float(below + (above - below) * (place % 1)) / 255
+        return color, float(below + (above - below) * (place % 1)) / 255
 
-    def _histogram(self, view: View) -> NDArray[np.int64]:
-        """(256,) number of background pixels of each brightness, that of the brightest channel."""
-        return np.bincount(brightness(view.image)[~bounds_mask(self.bounds, view)], minlength=256)
+    def _histogram(self, view: View, color: tuple[int, int, int]) -> NDArray[np.int64]:
+        """(256,) number of background pixels of each difference from a color."""
+        return np.bincount(difference(view.image, color)[~bounds_mask(self.bounds, view)], minlength=256)
 
     def fingerprint(self) -> str:
         """Text that tells the bounds and all photographs."""
@@ -196,16 +231,17 @@ class _Segmented(ComputedMask):
         return self.view.width, self.view.height
 
     def compute(self) -> NDArray[np.bool_]:
-        return _grab_cut(self.view, self.background.level, bounds_mask(self.background.bounds, self.view))
+        level, color = self.background.level, self.background.color
+        return _grab_cut(self.view, level, color, bounds_mask(self.background.bounds, self.view))
 
     def fingerprint(self) -> str:
         return f"segmented {self.view.name} {self.background.fingerprint()}"
 
 
-def _grab_cut(view: View, level: float, within: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Object pixels of a view: those surely above the level, inside a mask, and what GrabCut adds at the rim."""
+def _grab_cut(view: View, level: float, color: tuple[int, int, int], within: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Object pixels of a view: those surely off the color, inside a mask, and what GrabCut adds at the rim."""
     picture = view.image
-    likely = foreground(picture, level) & within
+    likely = foreground(picture, level, color) & within
     labels = np.where(likely, cv2.GC_PR_FGD, cv2.GC_PR_BGD).astype(np.uint8)
     labels[cv2.erode(likely.astype(np.uint8), _disc(_RIM)) > 0] = cv2.GC_FGD
     labels[~within] = cv2.GC_BGD
