@@ -77,7 +77,7 @@ Silhouettes = Annotated[
     str,
     typer.Option(
         metavar="auto|segmented|threshold|none|FOLDER",
-        help="Masks of the object: auto takes the scene's own, or else segments the dark background.",
+        help="Masks of the object: auto takes the scene's own, or else cuts it out of a plain background.",
         rich_help_panel=INPUT,
     ),
 ]

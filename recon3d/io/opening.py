@@ -109,8 +109,8 @@ def open_scene(
         or one that is found from the silhouettes, from the format's points, or from what most cameras see.
     silhouettes : "auto": the scene's own masks where it has some (of the format, in a folder ``masks`` or
         ``silhouettes``, or the photographs' own opacity), else "segmented"; "segmented" or "threshold": made
-        from a dark background, by GrabCut or by the recipe of dinoSparseRing's README, of all views or of those that
-        the scene says have good ones; "none"; or a folder of masks.
+        from a background of one color by GrabCut, or from a dark one by the recipe of dinoSparseRing's README, of all
+        views or of those that the scene says have good ones; "none"; or a folder of masks.
     mm_per_unit : millimetres in one world unit; what the README of ``write_scene`` or the format says, or 1000
         (metres), when None. Photographs that were calibrated without a scale have none.
     images : folder of the photographs, where they do not lie with the cameras.
