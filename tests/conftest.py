@@ -4,14 +4,22 @@ import os
 from pathlib import Path
 
 import pytest
+from sfm_world import blocks, taken, world
 
-from recon3d.datasets.synthetic import BuiltInScene, little_temple
+from recon3d.datasets.synthetic import BuiltInScene, little_temple, photograph
+from recon3d.scene.scene import Scene
 
 
 @pytest.fixture(scope="session")
 def temple() -> BuiltInScene:
     """The built-in temple, small: eight photographs of 160x120 pixels."""
     return little_temple(n_views=8, width=160, height=120)
+
+
+@pytest.fixture(scope="session")
+def sfm_scene() -> Scene:
+    """A textured box on a plate, from twelve cameras that structure from motion finds."""
+    return photograph(world(), blocks, taken())
 
 
 @pytest.fixture(scope="session")

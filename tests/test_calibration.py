@@ -54,15 +54,10 @@ def distorted(image: NDArray[np.uint8], K: NDArray[np.float64]) -> NDArray[np.ui
 
 
 @pytest.fixture(scope="module")
-def scene() -> Scene:
-    return photograph(world(), blocks, taken())
-
-
-@pytest.fixture(scope="module")
-def folder(scene: Scene, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(sfm_scene: Scene, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Twelve photographs, one that is far too blurred, one of noise and one that repeats another."""
     folder = tmp_path_factory.mktemp("photographs")
-    for n, view in enumerate(scene.views):
+    for n, view in enumerate(sfm_scene.views):
         write_image(folder / f"p{n:02d}.png", distorted(view.image, view.K))
     write_image(folder / "q_blurred.png", cv2.GaussianBlur(read_image(folder / "p03.png"), (0, 0), 6))
     noise = np.random.default_rng(0).integers(0, 255, (HEIGHT, WIDTH, 3), dtype=np.uint8)
@@ -164,7 +159,7 @@ def test_written_model_reprojects_its_points_in_undistorted_photographs(
 
 def test_what_was_calibrated_opens_as_a_scene_without_scale(calibrated: tuple[Calibration, Path, Stages]) -> None:
     calibration, output, _ = calibrated
-    with pytest.warns(UserWarning, match="outside it are bright.*no silhouettes are made"):
+    with pytest.warns(UserWarning, match="of the pixels outside it are.*no silhouettes are made"):
         scene = open_scene(output)
     assert not any(view.has_silhouette for view in scene.views)  # the plate fills the image
     assert [view.name for view in scene.views] == [camera.name for camera in calibration.cameras]
@@ -250,9 +245,9 @@ def test_a_known_distance_gives_the_scale(calibrated: tuple[Calibration, Path, S
             KnownDistance.parse(text)
 
 
-def test_undistorted_photograph_is_what_a_pinhole_takes(scene: Scene, folder: Path) -> None:
+def test_undistorted_photograph_is_what_a_pinhole_takes(sfm_scene: Scene, folder: Path) -> None:
     """Up to twice resampled texture."""
-    view = scene.views[4]
+    view = sfm_scene.views[4]
     lens = CalibratedCamera("p04.png", folder / "p04.png", WIDTH, HEIGHT, view.K, DISTORTION, view.cam_from_world)
     seen = Observations(np.zeros(1, np.int64), np.zeros(1, np.int64), lens.project(np.zeros((1, 3))))
     straight = undistorted(Calibration((lens,), np.zeros((1, 3)), np.zeros((1, 3), np.uint8), seen))

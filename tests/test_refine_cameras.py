@@ -20,11 +20,6 @@ from recon3d.scene.view import View
 pytest.importorskip("pycolmap")
 
 
-@pytest.fixture(scope="module")
-def scene() -> Scene:
-    return photograph(world(), blocks, taken())
-
-
 def shaken(scene: Scene, degrees: float, seed: int = 0) -> list[View]:
     """Views whose cameras are turned by a random angle and shifted accordingly."""
     rng, views = np.random.default_rng(seed), []
@@ -37,8 +32,8 @@ def shaken(scene: Scene, degrees: float, seed: int = 0) -> list[View]:
     return views
 
 
-def test_shaken_cameras_are_brought_back(scene: Scene) -> None:
-    given = shaken(scene, 0.15)
+def test_shaken_cameras_are_brought_back(sfm_scene: Scene) -> None:
+    given = shaken(sfm_scene, 0.15)
     refined = refine_cameras(given)
 
     def pixel_error(views: Sequence[View]) -> float:
@@ -47,21 +42,21 @@ def test_shaken_cameras_are_brought_back(scene: Scene) -> None:
         rows = []
         for corner in corners:
             system = []
-            for view, true in zip(views, scene.views, strict=True):
+            for view, true in zip(views, sfm_scene.views, strict=True):
                 (u, v), P = true.project(corner[None])[0][0], view.projection
                 system += [u * P[2] - P[0], v * P[2] - P[1]]
             point = np.linalg.svd(np.array(system))[2][-1]
             rows.append(point[:3] / point[3])
         shifts = [
             view.project(np.array(rows))[0] - true.project(corners)[0]
-            for view, true in zip(views, scene.views, strict=True)
+            for view, true in zip(views, sfm_scene.views, strict=True)
         ]
         return float(np.sqrt(np.mean(np.square(shifts))))
 
     assert refined.residual_after < 0.5 < refined.residual_before
     assert pixel_error(refined.views) < 0.25 * pixel_error(given)
     assert "residual after (pixels)" in refined.summary()
-    assert [view.name for view in refined.views] == [view.name for view in scene.views]
+    assert [view.name for view in refined.views] == [view.name for view in sfm_scene.views]
 
 
 def test_right_cameras_stay_with_their_frame_scale_and_skew() -> None:
@@ -76,9 +71,9 @@ def test_right_cameras_stay_with_their_frame_scale_and_skew() -> None:
         assert np.linalg.norm(view.center - true.center) < 0.02 * 6.0
 
 
-def test_views_without_matches_cannot_be_refined(scene: Scene) -> None:
+def test_views_without_matches_cannot_be_refined(sfm_scene: Scene) -> None:
     with pytest.raises(ValueError, match="at least 3 views"):
-        refine_cameras(scene.views[:2])
+        refine_cameras(sfm_scene.views[:2])
     with pytest.raises(CalibrationError, match="too little texture"):
         refine_cameras(photograph(world(), plain, taken(4)).views)
 

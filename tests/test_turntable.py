@@ -24,7 +24,7 @@ def taken(step: float = STEP) -> list[Camera]:
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("turntable")
-    for n, view in enumerate(photograph(world(), blocks, taken()).views):
+    for n, view in enumerate(photograph(world(), blocks, taken(), supersampling=1).views):
         write_image(folder / f"t{n:02d}.png", view.image)
     return folder
 
