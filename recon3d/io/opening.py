@@ -44,6 +44,7 @@ from recon3d.scene.silhouettes import (
     background_color,
     bounds_mask,
     foreground,
+    has_plain_frame,
     with_mask_files,
     with_segmented_silhouettes,
     with_threshold_silhouettes,
@@ -108,9 +109,10 @@ def open_scene(
     bounds : the object's box in the scene's own world frame. When None: the format's own, or that of a README beside,
         or one that is found from the silhouettes, from the format's points, or from what most cameras see.
     silhouettes : "auto": the scene's own masks where it has some (of the format, in a folder ``masks`` or
-        ``silhouettes``, or the photographs' own opacity), else "segmented"; "segmented" or "threshold": made
-        from a background of one color by GrabCut, or from a dark one by the recipe of dinoSparseRing's README, of all
-        views or of those that the scene says have good ones; "none"; or a folder of masks.
+        ``silhouettes``, or the photographs' own opacity), else "none" where the background has many colors and
+        "segmented" where not; "segmented" or "threshold": made from a background of one color by GrabCut, or from a
+        dark one by the recipe of dinoSparseRing's README, of all views or of those that the scene says have good
+        ones; "none"; or a folder of masks.
     mm_per_unit : millimetres in one world unit; what the README of ``write_scene`` or the format says, or 1000
         (metres), when None. Photographs that were calibrated without a scale have none.
     images : folder of the photographs, where they do not lie with the cameras.
@@ -157,6 +159,8 @@ def open_scene(
         return scene
     if silhouettes == "none":
         return scene
+    if silhouettes == "auto" and not _before_backdrop(scene):
+        return replace(scene, notes={**scene.notes, "no silhouettes": "the background has many colors"})
     if silhouettes == "auto" and told_box:  # neither the box nor the background is sure
         plain = _check_foreground(scene, must_fit=False, otherwise="; no silhouettes are made")
         return with_segmented_silhouettes(scene, only=found.masked) if plain else scene
@@ -300,6 +304,19 @@ def _off_center(view: View, box: Bounds) -> float:
     return float(np.abs((pixels[0] + 0.5) / half - 1).max()) if depth[0] > 0 else np.inf
 
 
+def _looked_at(scene: Scene) -> list[View]:
+    """Some views of many, evenly chosen, to judge all by."""
+    n = len(scene.views)
+    pixels = sum(view.width * view.height for view in scene.views) / n
+    count = int(np.clip(_CHECKED / pixels, min(_FEWEST, n), n))
+    return [scene.views[k] for k in np.linspace(0, n - 1, count).round().astype(int)]
+
+
+def _before_backdrop(scene: Scene) -> bool:
+    """Whether half of the photographs or more show an object before a background of about one color."""
+    return bool(np.mean([has_plain_frame(view.image) for view in _looked_at(scene)]) >= 0.5)
+
+
 def _check_foreground(scene: Scene, *, must_fit: bool, dark: bool = False, otherwise: str = "") -> bool:
     """Refuse a box that cuts an object on a background of one color off, or warn of it; looks at some of many views.
 
@@ -312,11 +329,8 @@ def _check_foreground(scene: Scene, *, must_fit: bool, dark: bool = False, other
     -------
     Whether nothing was found to be wrong.
     """
-    n = len(scene.views)
-    pixels = sum(view.width * view.height for view in scene.views) / n
-    looked_at = int(np.clip(_CHECKED / pixels, min(_FEWEST, n), n))
     shares, lit = [], []
-    chosen = [scene.views[k] for k in np.linspace(0, n - 1, looked_at).round().astype(int)]
+    chosen = _looked_at(scene)
     color = BLACK if dark else background_color(chosen, scene.bounds)
     for view in chosen:
         bright = foreground(view.image, color=color)

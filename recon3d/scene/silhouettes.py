@@ -39,6 +39,12 @@ BACKGROUND_LEVEL = 0.19
 """Fraction of white below which a pixel is dark background (the Middlebury dinoSparseRing recipe)."""
 
 
+_FRAME = 0.02  # of the shorter side: width of an image's frame
+
+
+_PLAIN = 8  # grey levels between half of the frame and its median color: more than noise and soft light make
+
+
 BLACK = (0, 0, 0)
 
 
@@ -53,6 +59,15 @@ def difference(image: NDArray[np.uint8], color: tuple[int, int, int] = BLACK) ->
     """(height, width) largest difference of an RGB image's channels from a color; from black, the brightest channel."""
     red, green, blue = cv2.split(image if color == BLACK else cv2.absdiff(image, np.array(color, np.float64)))
     return np.asarray(cv2.max(cv2.max(red, green), blue), np.uint8)
+
+
+def has_plain_frame(image: NDArray[np.uint8]) -> bool:
+    """Whether the frame of an RGB image is of about one color, as where an object is photographed before a backdrop."""
+    width = max(1, round(_FRAME * min(image.shape[:2])))
+    inner = np.zeros(image.shape[:2], np.bool_)
+    inner[width:-width, width:-width] = True
+    frame = image[~inner].astype(np.int64)
+    return bool(np.median(np.abs(frame - np.median(frame, axis=0)).max(axis=1)) <= _PLAIN)
 
 
 def background_color(views: Iterable[View], bounds: Bounds) -> tuple[int, int, int]:
