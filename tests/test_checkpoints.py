@@ -29,7 +29,7 @@ from recon3d import (
 )
 from recon3d.consistency import StandardDeviation
 from recon3d.io.checkpoints import Checkpoints
-from recon3d.io.files import atomic_path
+from recon3d.io.files import atomic_folder, atomic_path
 from recon3d.stereo.refinement import PASSES
 from recon3d.tasks import Arrays, threads
 
@@ -77,9 +77,14 @@ def test_what_a_killed_run_left_is_removed_an_hour_later(tmp_path: Path) -> None
         left = tmp_path / f"{temporary.name}-of-a-killed-run"
         left.write_bytes(b"half")
     (tmp_path / "view.npz").unlink()
+    with atomic_folder(tmp_path / "scene") as temporary:
+        left_folder = tmp_path / f"{temporary.name}-of-a-killed-run"
+        (left_folder / "images").mkdir(parents=True)
+    (tmp_path / "scene").rmdir()
     Checkpoints(tmp_path)
     assert left.exists()  # it may belong to a run that still goes on
-    os.utime(left, (time() - 4000, time() - 4000))
+    for path in (left, left_folder):
+        os.utime(path, (time() - 4000, time() - 4000))
     Checkpoints(tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["carving.npz"]
 

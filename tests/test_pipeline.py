@@ -2,6 +2,7 @@
 
 import json
 import math
+import os
 import pickle
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +16,7 @@ import recon3d
 from recon3d.datasets import BuiltInScene
 from recon3d.evaluation import evaluate_files, triangles_near
 from recon3d.io import read_geometry, read_support, write_middlebury
+from recon3d.io.files import atomic_path
 from recon3d.io.geometry import geometry_arrays
 from recon3d.rendering import Renderer
 from recon3d.reporting import error_map, save_error_maps, save_pictures
@@ -40,7 +42,12 @@ def test_five_lines_do_the_whole_job(temple: BuiltInScene, tmp_path: Path) -> No
 
 
 def test_what_is_saved_reads_back_as_it_was(result: recon3d.Reconstruction, tmp_path: Path) -> None:
+    with atomic_path(tmp_path / "mesh.ply") as temporary:
+        left = tmp_path / f"{temporary.name}-of-a-killed-run"
+        left.write_bytes(b"half")
+    os.utime(left, (0, 0))
     written = recon3d.save(result, tmp_path, mesh_formats=["ply", "obj", "glb", "stl"])
+    assert not left.exists()
     assert all(path.exists() for path in written.values())
     mesh = recon3d.read_mesh(written["mesh (ply)"])
     np.testing.assert_allclose(np.asarray(mesh.vertices), np.asarray(result.mesh.vertices), atol=1e-12)

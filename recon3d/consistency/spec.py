@@ -151,7 +151,7 @@ def restore(record: Mapping[str, Any], users_own: str | None = None) -> Consiste
     if users_own is None:
         raise DataError(
             f"the test {name} is not the package's own, and code is not run because a file names it: "
-            f"name it, as --test {name if ':' in name else 'module:name'}"
+            "if it is yours, name it by --test module:name"
         )
     if users_own == name:
         return load_test(users_own, **values)

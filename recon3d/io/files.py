@@ -55,11 +55,11 @@ def atomic_folder(path: Path | str) -> Iterator[Path]:
 
 
 def remove_leftovers(folder: Path | str) -> None:
-    """Remove temporary files that runs which were killed left in a folder: those untouched for an hour."""
+    """Remove temporary files and folders that runs which were killed left in a folder: those untouched for an hour."""
     for path in Path(folder).glob(f".*{_UNFINISHED}*"):
         with suppress(OSError):  # another run may be quicker
             if time() - path.stat().st_mtime > _ABANDONED:
-                path.unlink()
+                shutil.rmtree(path) if path.is_dir() else path.unlink()
 
 
 def _umask() -> int:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from recon3d.errors import ArgumentError
-from recon3d.io.files import write_json
+from recon3d.io.files import remove_leftovers, write_json
 from recon3d.io.geometry import MESH_SUFFIXES, write_geometry
 from recon3d.reporting.pictures import save_pictures
 from recon3d.result import Reconstruction
@@ -35,6 +35,7 @@ def save(
     # The record tells a finished result: it goes first and comes last.
     record = result.record()
     (folder / "record.json").unlink(missing_ok=True)
+    remove_leftovers(folder)
     written = {
         f"mesh ({name})": write_geometry(folder / f"mesh.{name}", result.mesh, support=result.support)
         for name in mesh_formats
