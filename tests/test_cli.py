@@ -10,14 +10,16 @@ import tempfile
 import warnings
 from pathlib import Path
 
+import numpy as np
 import open3d as o3d
 import pytest
 
 import recon3d
 from recon3d import cli
-from recon3d.cli.arguments import record_of
+from recon3d.cli.arguments import plain_photographs, record_of
 from recon3d.datasets import BuiltInScene
 from recon3d.io import read_support, write_middlebury
+from recon3d.io.files import write_image
 from recon3d.stereo.refinement import PASSES
 
 
@@ -331,3 +333,17 @@ def test_a_record_that_is_none_names_its_file(result: Path, tmp_path: Path) -> N
         with pytest.raises(recon3d.DataError, match="expected the record of a run"):
             record_of(tmp_path)
     assert f"{tmp_path / 'record.json'}: expected the record of a run" in run("render", tmp_path, expect=1).stderr
+
+
+def test_plain_photographs_may_lie_in_the_only_sub_folder(photographs: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "rose" / "images"
+    folder.mkdir(parents=True)
+    for n in range(2):
+        write_image(folder / f"{n}.png", np.zeros((4, 4, 3), np.uint8))
+    assert plain_photographs(str(folder)) == folder
+    assert plain_photographs(str(folder.parent)) == folder
+    (folder.parent / "notes.txt").write_text("calibration unknown")
+    assert plain_photographs(str(folder.parent)) is None
+    assert plain_photographs(str(tmp_path)) is None
+    assert plain_photographs(str(photographs)) is None  # its cameras are known
+    assert plain_photographs("little-temple") is None

@@ -61,14 +61,18 @@ def load(
     return loaded
 
 
-def plain_photographs(scene: str) -> bool:
-    """Whether a folder holds photographs, and nothing of their cameras."""
+def plain_photographs(scene: str) -> Path | None:
+    """The folder of photographs that a path names, itself or its only sub folder, if nothing tells their cameras."""
     from recon3d.datasets.synthetic import SCENES
     from recon3d.io.opening import format_of
     from recon3d.io.reading import image_files
 
     path = Path(scene)
-    return (path.is_dir() or scene not in SCENES) and bool(image_files(path)) and format_of(path) is None
+    if not path.is_dir() or (scene in SCENES and not image_files(path)) or format_of(path) is not None:
+        return None
+    inside = [entry for entry in path.iterdir() if entry.name[0] != "."]
+    folder = inside[0] if len(inside) == 1 and inside[0].is_dir() else path
+    return folder if image_files(folder) else None
 
 
 def calibrated(

@@ -162,9 +162,9 @@ def command(
         ),
     )
     truth = read_mesh(ground_truth) if ground_truth else None
-    if images is None and plain_photographs(scene):
+    if images is None and (photographs := plain_photographs(scene)):
         folder = writable(output or Path("recon3d-output") / Path(scene).resolve().name)
-        found = calibrated(Path(scene), folder / "scene", board, turntable, None, known_distance)
+        found = calibrated(photographs, folder / "scene", board, turntable, None, known_distance)
         say(found.summary())
         loaded = load(str(folder / "scene"), bounds, silhouettes, mm_per_unit)
     elif any(option is not None for option in (board, turntable, known_distance)):
