@@ -7,6 +7,7 @@ import json
 import math
 import sys
 import tempfile
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import fields, replace
@@ -112,6 +113,18 @@ def with_adjusted_cameras(scene: Scene, folder: Path) -> Scene:
     say(refined.summary())
     write_refined_cameras(folder, replace(scene, views=refined.views), scene)
     return replace(scene, views=refined.views)
+
+
+def warn_of_findings(scene: Scene) -> None:
+    """Warn of what a quick check of a scene finds, before it is reconstructed."""
+    from recon3d.diagnosis import check_scene
+
+    with progress() as report:
+        report("checking", 0, 1)
+        findings = check_scene(scene)
+        report("checking", 1, 1)
+    for finding in findings:
+        warnings.warn(f"{scene.name}: {finding}", stacklevel=2)
 
 
 def photograph(name: str, **options: Any) -> BuiltInScene:

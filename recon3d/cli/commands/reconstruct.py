@@ -18,6 +18,7 @@ from recon3d.cli.arguments import (
     save,
     say,
     views_of,
+    warn_of_findings,
     with_adjusted_cameras,
     writable,
 )
@@ -178,6 +179,7 @@ def command(
         loaded = with_adjusted_cameras(loaded, folder)
     else:
         (folder / REFINED_FILE).unlink(missing_ok=True)
+    warn_of_findings(loaded)
     result = run(loaded, settings, truth, folder / "stages")
     written = save(result, folder, [name.value for name in mesh_format or [_MeshFormat.ply]], pictures=pictures)
     say(result.summary())

@@ -1,0 +1,100 @@
+"""The checks of a scene, one after the other, and the table of its views."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recon3d.checks import require_whole
+from recon3d.diagnosis.boxes import box_findings
+from recon3d.diagnosis.cameras import camera_findings, cameras_of
+from recon3d.diagnosis.epipolar import agreement, triangulated
+from recon3d.diagnosis.finding import Finding
+from recon3d.diagnosis.masks import mask_findings
+from recon3d.diagnosis.matches import Matches, Picture
+from recon3d.diagnosis.photographs import photograph_findings, sharpness
+from recon3d.scene.neighbours import viewing_angles
+from recon3d.scene.scene import Scene
+
+_FILM_DIAGONAL = 43.27  # mm, of a 35-mm camera's frame
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """What the checks of a scene have found, and what they have looked at."""
+
+    scene: Scene
+    findings: tuple[Finding, ...]
+    """Empty: nothing wrong was found."""
+    pictures: tuple[Picture, ...]
+    """The reduced photographs that were looked at."""
+    matches: Matches
+    points: NDArray[np.float64]
+    """(n, 3) matched points that agree with the cameras, world."""
+
+    def seen(self) -> str:
+        """Text of what the findings rest on."""
+        n = len(self.pictures)
+        return f"{n} of {len(self.scene.views)} views looked at, {len(self.matches.pairs)} pairs of them matched"
+
+    def table(self) -> list[str]:
+        """Lines of a table of the views, below their heading."""
+        scene, center = self.scene, self.scene.bounds.center
+        angles = viewing_angles(scene) + np.diag(np.full(len(scene.views), np.inf))
+        sharp = {
+            picture.view.name: value for picture, value in zip(self.pictures, sharpness(self.pictures), strict=True)
+        }
+        masks = {picture.view.name: picture.mask for picture in self.pictures if picture.mask is not None}
+        width = max(24, *(len(view.name) for view in scene.views))
+        lines = [f"{'view':{width}} {'size':>10} {'35 mm':>6} {'distance':>9} {'nearest':>8} {'mask':>5} {'sharp':>5}"]
+        for view, row in zip(scene.views, angles, strict=True):
+            focal = np.sqrt(view.K[0, 0] * view.K[1, 1]) / np.hypot(view.width, view.height) * _FILM_DIAGONAL
+            share = f"{masks[view.name].mean():.0%}" if view.name in masks else "-"
+            relative = f"{sharp[view.name]:.2f}" if view.name in sharp else "-"
+            lines.append(
+                f"{view.name:{width}} {f'{view.width}x{view.height}':>10} {f'{focal:.0f} mm':>6} "
+                f"{np.linalg.norm(view.center - center):9.4g} {f'{row.min():.1f} deg':>8} {share:>5} {relative:>5}"
+            )
+        return lines
+
+
+def check_scene(scene: Scene, *, max_views: int = 24) -> tuple[Finding, ...]:
+    """Look for the classical mistakes in cameras, order of images, bounds, masks and exposure.
+
+    SIFT matches between reduced photographs are trusted where they agree with an epipolar geometry of their own. Where
+    they contradict the given cameras, usual mistakes are undone one by one: the one that makes them agree is told.
+    Photographs without texture have too few matches; they say nothing about the cameras.
+
+    Parameters
+    ----------
+    max_views : evenly chosen ones of more are looked at.
+
+    Returns
+    -------
+    What was found; empty: nothing.
+    """
+    return diagnose(scene, max_views=max_views).findings
+
+
+def diagnose(scene: Scene, *, max_views: int = 60) -> Diagnosis:
+    """``check_scene`` with what it rests on, for tables and figures."""
+    require_whole("max_views", max_views)
+    chosen = np.unique(np.linspace(0, len(scene.views) - 1, min(max_views, len(scene.views))).round().astype(int))
+    pictures = tuple(Picture.of(scene.views[n]) for n in chosen)
+    matches = Matches.between(pictures)
+    points = _points(pictures, matches)
+    # Bounds and masks are compared by the cameras, which must be right for that.
+    found = camera_findings(pictures, matches) or box_findings(scene, points)
+    found += mask_findings(scene, pictures, agree=not found)
+    return Diagnosis(scene, (*found, *photograph_findings(pictures, matches)), pictures, matches, points)
+
+
+def _points(pictures: Sequence[Picture], matches: Matches) -> NDArray[np.float64]:
+    """(n, 3) points of the pairs that agree with the cameras, world."""
+    if not len(matches.pairs):
+        return np.zeros((0, 3))
+    cameras = cameras_of(pictures)
+    return triangulated(matches, cameras)[agreement(matches, cameras).good[matches.pair]]

@@ -1,0 +1,70 @@
+"""Cameras, bounds and matched points, drawn in three dimensions."""
+
+from __future__ import annotations
+
+from itertools import combinations
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from recon3d.diagnosis.diagnosing import Diagnosis
+from recon3d.io.files import atomic_path
+from recon3d.scene.view import View
+
+if TYPE_CHECKING:  # a second to import, and most runs draw nothing
+    from matplotlib.figure import Figure
+
+_FRUSTUM = 0.15  # of the distance to the bounds
+_POINTS = 3000
+
+
+def plot_scene(diagnosis: Diagnosis) -> Figure:
+    """Cameras as frusta, those that a finding names in red, the bounds, and matched points."""
+    from matplotlib.figure import Figure
+
+    scene = diagnosis.scene
+    figure = Figure(figsize=(8, 7), layout="constrained")
+    axes = figure.add_subplot(projection="3d")
+    blamed = {name for finding in diagnosis.findings for name in finding.views}
+    distances = np.linalg.norm(scene.centers - scene.bounds.center, axis=1)
+    depth = _FRUSTUM * max(float(np.median(distances)), 1e-12)
+    for view in scene.views:
+        color = "tab:red" if view.name in blamed else "tab:blue"
+        _draw_frustum(axes, view, depth, color)
+        axes.text(*view.center, Path(view.name).stem, fontsize=6, color=color)
+    corners = scene.bounds.corners
+    for a, b in combinations(corners, 2):
+        if np.count_nonzero(a != b) == 1:
+            axes.plot(*np.stack([a, b]).T, color="tab:orange", linewidth=1)
+    points = diagnosis.points
+    if len(points):
+        middle, reach = np.median(points, axis=0), float(distances.max())
+        near = points[np.linalg.norm(points - middle, axis=1) < reach]
+        axes.scatter(*near[:: 1 + len(near) // _POINTS].T, s=1, color="0.3")
+    axes.set(xlabel="x", ylabel="y", zlabel="z", title=f"{scene.name}: {len(scene.views)} cameras, bounds in orange")
+    axes.set_aspect("equal")
+    return figure
+
+
+def save_figure(diagnosis: Diagnosis, path: Path | str) -> Path:
+    """Draw a scene to a file, whose ending names the format; returns the path.
+
+    Raises
+    ------
+    ValueError : matplotlib writes no such format.
+    """
+    with atomic_path(path) as temporary:
+        plot_scene(diagnosis).savefig(temporary, dpi=150)
+    return Path(path)
+
+
+def _draw_frustum(axes: Any, view: View, depth: float, color: str) -> None:
+    """The pyramid from a camera's centre to its image at a depth, world units."""
+    width, height = view.width - 0.5, view.height - 0.5
+    pixels = np.array([[-0.5, -0.5, 1], [width, -0.5, 1], [width, height, 1], [-0.5, height, 1]])
+    rays = pixels @ np.linalg.inv(view.K).T @ view.cam_from_world[:3, :3]
+    image = view.center + depth * rays
+    axes.plot(*image[[0, 1, 2, 3, 0]].T, color=color, linewidth=0.8)
+    for corner in image:
+        axes.plot(*np.stack([view.center, corner]).T, color=color, linewidth=0.5)
