@@ -17,6 +17,10 @@ class DataError(Recon3dError):
     """A file or folder does not hold what its format promises."""
 
 
+class DownloadError(Recon3dError):
+    """A data set could not be downloaded, is not what was expected, or could not be unpacked."""
+
+
 class SceneError(Recon3dError):
     """Views, bounds and images do not fit together."""
 

@@ -52,6 +52,7 @@ def test_help_says_what_each_command_does() -> None:
     text = run("--help").stdout
     for command in [
         "demo",
+        "download",
         "info",
         "board",
         "calibrate",

@@ -13,7 +13,19 @@ from typing import Annotated
 import typer
 
 from recon3d._version import __version__
-from recon3d.cli.commands import board, calibrate, compare, convert, demo, evaluate, explain, info, reconstruct, render
+from recon3d.cli.commands import (
+    board,
+    calibrate,
+    compare,
+    convert,
+    demo,
+    download,
+    evaluate,
+    explain,
+    info,
+    reconstruct,
+    render,
+)
 from recon3d.errors import ArgumentError, FailedTestError, Recon3dError
 
 app = typer.Typer(
@@ -24,6 +36,7 @@ app = typer.Typer(
     help="Coloured, measured 3D models from calibrated photographs. Start with: recon3d demo",
 )
 app.command("demo")(demo.command)
+app.command("download")(download.command)
 app.command("info")(info.command)
 app.command("board")(board.command)
 app.command("calibrate")(calibrate.command)
