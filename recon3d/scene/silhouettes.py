@@ -62,7 +62,7 @@ def difference(image: NDArray[np.uint8], color: tuple[int, int, int] = BLACK) ->
 
 
 def has_plain_frame(image: NDArray[np.uint8]) -> bool:
-    """Whether the frame of an RGB image is of about one color, as where an object is photographed before a backdrop."""
+    """Whether the frame of an RGB image (height, width, 3) is of about one color, as before a backdrop."""
     width = max(1, round(_FRAME * min(image.shape[:2])))
     inner = np.zeros(image.shape[:2], np.bool_)
     inner[width:-width, width:-width] = True
