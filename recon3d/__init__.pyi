@@ -2,6 +2,7 @@ from . import calibration as calibration
 from . import carving as carving
 from . import consistency as consistency
 from . import datasets as datasets
+from . import diagnosis as diagnosis
 from . import errors as errors
 from . import evaluation as evaluation
 from . import io as io

@@ -24,6 +24,10 @@ from recon3d.surface.visibility import keep_vertices
 from recon3d.tasks import versions
 from recon3d.volume.carved import Carved
 
+_LEAST_OVERLAP = 0.7  # of mesh and silhouettes
+_MOST_DIFFERENT = 30.0  # grey levels
+_LEAST_MEASURED = 0.02  # of the surface, by dense matching
+
 
 @dataclass(frozen=True, repr=False)
 class Reconstruction(Summarised):
@@ -61,6 +65,23 @@ class Reconstruction(Summarised):
         triangles = np.asarray(self.mesh.triangles)
         areas = triangle_areas(np.asarray(self.mesh.vertices), triangles)
         return float(areas[(self.support[triangles] > 0).all(axis=1)].sum() / areas.sum())
+
+    def doubt(self) -> str | None:
+        """One sentence on why the result cannot be right, by its own photographs; None: nothing speaks against it."""
+        overall, share = self.quality.overall, self.supported_share
+        if overall.overlap is not None and overall.overlap < _LEAST_OVERLAP:
+            told = f"the mesh and the silhouettes overlap by only {overall.overlap:.0%}"
+        elif overall.median is not None and overall.median > _MOST_DIFFERENT:
+            told = (
+                f"half of the mesh's pixels differ from the photographs by more than {overall.median:.0f} grey levels"
+            )
+        elif self.confidence is not None and share < _LEAST_MEASURED:
+            told = f"only {share:.1%} of the surface could be measured"
+        else:
+            return None
+        return (
+            f"the result cannot be right: {told}; recon3d info tells what may be wrong with cameras, masks and bounds"
+        )
 
     def supported_mesh(self) -> o3d.geometry.TriangleMesh:
         """The part of the mesh that was measured: triangles whose vertices all have support."""

@@ -14,12 +14,13 @@ from scipy.spatial import cKDTree
 
 import recon3d
 from recon3d.datasets import BuiltInScene
-from recon3d.evaluation import evaluate_files, triangles_near
+from recon3d.evaluation import evaluate_files, measure_quality, triangles_near
 from recon3d.io import read_geometry, read_support, write_middlebury
 from recon3d.io.files import atomic_path
 from recon3d.io.geometry import geometry_arrays
 from recon3d.rendering import Renderer
 from recon3d.reporting import error_map, save_error_maps, save_pictures
+from recon3d.scene.view import View
 from recon3d.stereo import PASSES
 from recon3d.surface import VertexVisibility, mesh_volume
 
@@ -39,6 +40,18 @@ def test_five_lines_do_the_whole_job(temple: BuiltInScene, tmp_path: Path) -> No
     # A pixel is 1.6 mm here and a voxel 2.7 mm: most of the mesh lies within three voxels.
     assert figures.accuracy_at(50) < 3 * 1000 * result.carved.volume.voxel_size
     assert figures.completeness_at(10) > 80
+
+
+def test_a_result_that_its_photographs_contradict_is_doubted(result: recon3d.Reconstruction) -> None:
+    assert result.doubt() is None
+
+    def seen_by(views: list[View]) -> recon3d.Reconstruction:
+        return replace(result, quality=measure_quality(result.mesh, replace(result.scene, views=tuple(views))))
+
+    inverted = [replace(view, mask=~view.silhouette) for view in result.scene.views]
+    assert "silhouettes overlap by only" in seen_by(inverted).doubt()
+    negatives = [replace(view, photograph=255 - view.image) for view in result.scene.views]
+    assert "grey levels" in seen_by(negatives).doubt()
 
 
 def test_what_is_saved_reads_back_as_it_was(result: recon3d.Reconstruction, tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -184,3 +185,5 @@ def command(
     written = save(result, folder, [name.value for name in mesh_format or [_MeshFormat.ply]], pictures=pictures)
     say(result.summary())
     say(written)
+    if doubt := result.doubt():
+        warnings.warn(f"{loaded.name}: {doubt}", stacklevel=1)
