@@ -18,7 +18,7 @@ _WRONG_VIEWS = 0.34  # of all views at most, that are named
 _BETTER = 5.0  # times smaller than as given is the error of what names a mistake
 _SUSPECT = 1.0  # reduced pixels of the median pair from which on usual mistakes are tried
 _FAR_OUT = 0.35  # of the image's sides, from its middle
-_MOST_ORDERED = 32  # views whose order is searched
+_MOST_ORDERED = 16  # views whose order is searched
 _SWAPS = 40  # exchanges of two photographs at most
 
 
@@ -45,7 +45,7 @@ def camera_findings(pictures: Sequence[Picture], matches: Matches) -> list[Findi
     wrong = _outliers(matches, given, len(pictures))
     if mostly and not len(wrong) and given.error < _SUSPECT:
         return []
-    told = f"Matches between the photographs contradict the cameras by {_told(pictures, given)}"
+    told = f"Matches between the photographs contradict the cameras ({_told(pictures, given)})"
     for tried in (usual_mistakes(names), focal_lengths()):
         explaining = _best(tried, matches, cameras, given)
         if explaining:
@@ -101,9 +101,9 @@ def _unexplained(pictures: Sequence[Picture], told: str) -> Finding:
         )
     return Finding(
         "cameras contradict matches",
-        f"{told}, and no usual mistake (axes, inverse, order, size of K) explains it.",
-        "Check that the calibration is of these very photographs, without distortion that it leaves out, or calibrate "
-        "them anew (recon3d calibrate).",
+        f"{told}, and no usual mistake (axes, inverse, size of K, reversed or shifted order) explains it.",
+        "Check that the calibration is of these very photographs, in this order, without distortion that it leaves out, "
+        "or calibrate them anew (recon3d calibrate).",
     )
 
 
@@ -158,7 +158,7 @@ def _of_views(
     return Finding(
         "one wrong camera" if one else "wrong cameras",
         f"{'The camera' if one else 'Cameras'} of {', '.join(told)} contradict{'s' * one} matches with the other views "
-        f"by {pixels}; the others agree.",
+        f"({pixels}); the others agree.",
         f"Leave {'that view' if one else 'those views'} out, or calibrate {'it' if one else 'them'} anew.",
         told,
     )
@@ -191,7 +191,7 @@ def _order(matches: Matches, cameras: Cameras) -> NDArray[np.int64]:
 def _told(pictures: Sequence[Picture], given: Agreement) -> str:
     """Text of a median error in pixels of the photographs, or that points lie behind the cameras."""
     scale = float(np.median([picture.view.width / picture.camera.width for picture in pictures]))
-    behind = given.in_front < BEFORE
-    if behind and given.error < GOOD:
-        return "lying behind them"
-    return f"{given.error * scale:.{0 if given.error * scale > 9.5 else 1}f} pixels" + " and lie behind them" * behind
+    pixels = f"{given.error * scale:.{0 if given.error * scale > 9.5 else 1}f} pixels"
+    if given.in_front >= BEFORE:
+        return f"by {pixels}"
+    return "points lie behind the cameras" + (f", by {pixels}" if given.error >= GOOD else "")

@@ -53,10 +53,11 @@ class Diagnosis:
         for view, row in zip(scene.views, angles, strict=True):
             focal = np.sqrt(view.K[0, 0] * view.K[1, 1]) / np.hypot(view.width, view.height) * _FILM_DIAGONAL
             share = f"{masks[view.name].mean():.0%}" if view.name in masks else "-"
+            nearest = f"{row.min():.1f} deg" if np.isfinite(row.min()) else "-"
             relative = f"{sharp[view.name]:.2f}" if view.name in sharp else "-"
             lines.append(
                 f"{view.name:{width}} {f'{view.width}x{view.height}':>10} {f'{focal:.0f} mm':>6} "
-                f"{np.linalg.norm(view.center - center):9.4g} {f'{row.min():.1f} deg':>8} {share:>5} {relative:>5}"
+                f"{np.linalg.norm(view.center - center):9.4g} {nearest:>8} {share:>5} {relative:>5}"
             )
         return lines
 
