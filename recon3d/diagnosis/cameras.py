@@ -102,7 +102,7 @@ def _unexplained(pictures: Sequence[Picture], told: str) -> Finding:
     return Finding(
         "cameras contradict matches",
         f"{told}, and no usual mistake (axes, inverse, size of K, reversed or shifted order) explains it.",
-        "Check that the calibration is of these very photographs, in this order, without distortion that it leaves out, "
+        "Check that the calibration is of these very photographs, in this order, with all distortion, "
         "or calibrate them anew (recon3d calibrate).",
     )
 
