@@ -14,13 +14,13 @@ def warm_up(part: int = 0, parts: int = 1) -> None:
     """
     import recon3d
 
-    scene = recon3d.little_temple(n_views=8, width=160, height=120, supersampling=1).scene
+    built_in = recon3d.little_temple(n_views=8, width=160, height=120, supersampling=1)
     runs = [
         recon3d.Settings(n_voxels=20_000, carving=recon3d.VoteCarving(), matching=None),
         recon3d.Settings(n_voxels=20_000, carving=recon3d.VisualHull(), matching=recon3d.stereo.PASSES),
     ]
     for settings in runs[part::parts]:
-        recon3d.reconstruct(scene, settings)
+        recon3d.reconstruct(built_in.scene, settings, ground_truth=built_in.ground_truth)
 
 
 def main() -> int:

@@ -9,6 +9,7 @@ import open3d as o3d
 from numpy.typing import NDArray
 
 from recon3d.errors import ArgumentError
+from recon3d.evaluation.triangles import nearest_triangles
 from recon3d.rendering.ray_caster import RayCaster
 from recon3d.summary import Summarised
 from recon3d.volume.dense import CarvingVolume
@@ -25,7 +26,7 @@ MOST_SAMPLES = 1e8
 
 
 MEASURED_SHARE = 4
-"""Distances are measured from every fourth sample of a mesh, to all of the other's."""
+"""Distances are measured from every fourth sample of a mesh."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -131,7 +132,8 @@ def evaluate(
     """Measure a reconstruction R against a ground truth G as the Middlebury benchmark does.
 
     Meshes are sampled uniformly by area; of a point cloud the points and of a voxel grid the centres of its surface
-    voxels are taken as they are. Distances run between samples, by Open3D's KD-tree.
+    voxels are taken as they are. Distances run from these to the other mesh's triangles, right to 1%, or to the
+    other's points or centres; both by Open3D's KD-tree.
 
     Parameters
     ----------
@@ -184,11 +186,11 @@ def evaluate(
             )
         valid_g = valid[owner_g]
 
-    to_g, nearest = _distances(samples_r[::step_r], samples_g, want_index=valid is not None)
-    kept = valid_g[nearest] if valid is not None else np.ones(len(to_g), np.bool_)
+    to_g, nearest = _distances(samples_r[::step_r], ground_truth, samples_g)
+    kept = valid[nearest] if valid is not None else np.ones(len(to_g), np.bool_)
     if not kept.any():
         raise ArgumentError("every sample of the reconstruction lies nearest to filler: are both in one frame?")
-    to_r, _ = _distances(samples_g[valid_g][::step_g], samples_r)
+    to_r, _ = _distances(samples_g[valid_g][::step_g], reconstruction, samples_r)
     return Evaluation(
         np.sort(to_g[kept]) * mm_per_unit,
         np.sort(to_r) * mm_per_unit,
@@ -255,13 +257,16 @@ def _sample_mesh(
 
 
 def _distances(
-    source: NDArray[np.float64], target: NDArray[np.float64], *, want_index: bool = False
+    points: NDArray[np.float64], shape: Shape, elements: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Distances of source points to their nearest target points, and which ones those are where asked."""
-    if want_index:
-        search = o3d.core.nns.NearestNeighborSearch(o3d.core.Tensor.from_numpy(target))
-        search.knn_index()
-        index, squared = search.knn_search(o3d.core.Tensor.from_numpy(source), 1)
-        return np.sqrt(squared.numpy().ravel()), index.numpy().ravel()
-    clouds = [o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points)) for points in (source, target)]
-    return np.asarray(clouds[0].compute_point_cloud_distance(clouds[1])), np.empty(0, np.int64)
+    """(n,) distances of points (n, 3) to the nearest triangle of a mesh or element of another shape, and which it is.
+
+    Elements (m, 3) are what ``sample_surface`` gives of a shape other than a mesh.
+    """
+    if isinstance(shape, o3d.geometry.TriangleMesh):
+        squared, triangle = nearest_triangles(points, shape)
+        return np.sqrt(squared), triangle
+    search = o3d.core.nns.NearestNeighborSearch(o3d.core.Tensor.from_numpy(elements))
+    search.knn_index()
+    index, distances = (x.numpy().ravel() for x in search.knn_search(o3d.core.Tensor.from_numpy(points), 1))
+    return np.sqrt(distances), index

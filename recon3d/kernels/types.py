@@ -144,6 +144,15 @@ class Observed(NamedTuple):
     """(n, n_views) whether the view shows any foreground there."""
 
 
+class Nearest(NamedTuple):
+    """The nearest of some triangles to each of n points."""
+
+    squared: NDArray[np.float64]
+    """(n,) squared distance, world units."""
+    triangle: NDArray[np.int64]
+    """(n,) index."""
+
+
 class Ray(NamedTuple):
     """A ray on its way through a lattice, in voxels from the lattice's origin."""
 
