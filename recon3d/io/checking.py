@@ -8,7 +8,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from recon3d.errors import SceneError
 from recon3d.io.calibrated import Calibrated
+from recon3d.scene.bounds import Bounds
 from recon3d.scene.enclosing import silhouettes_explained
 from recon3d.scene.image_file import ImageFile
 from recon3d.scene.photograph import Photograph
@@ -21,6 +23,9 @@ _EXPLAINED = 0.97  # of the silhouettes, on average
 _FACTORS = (8, 4, 3, 2, 1 / 2, 1 / 3, 1 / 4, 1 / 8)
 _BITS = (8, 10, 12, 14, 16)
 _OFF, _APART = 0.2, 0.12  # of the image's sides
+_LEAST_SEEN, _NEARLY_ALL = 0.25, 0.9  # of a box's volume, in the median view
+_OFF_CENTER = 0.5  # of the way from the image's middle to its border
+_PROBES = 6  # along each side of a box
 
 
 def with_one_white(found: Calibrated) -> Calibrated:
@@ -79,3 +84,44 @@ def warn_of_silhouettes(scene: Scene) -> None:
             "the masks those of these views, the calibration exact?",
             stacklevel=4,
         )
+
+
+def check_box(scene: Scene) -> None:
+    """Refuse a box that is not in the images, as another set's frame would have it; warn of cameras inside it."""
+    box = scene.bounds
+    inside = [view.name for view in scene.views if (np.abs(view.center - box.center) < box.extent / 2).all()]
+    told = (
+        f"{len(inside)} of {len(scene.views)} cameras stand inside the bounding box ({', '.join(inside[:1])}): "
+        "give bounds around the object alone, not the room"
+    )
+    if wrong := not_in_images(scene.views, box):
+        question = told_of_another_size(scene.views) or "Every set has its own world frame: is this another set's box?"
+        question = told if inside else question
+        raise SceneError(f"{scene.name}: {wrong}. {question}")
+    if inside:
+        warnings.warn(f"{scene.name}: {told}", stacklevel=3)
+    if scaled := told_of_another_size(scene.views):
+        warnings.warn(f"{scene.name}: {scaled}", stacklevel=3)
+
+
+def not_in_images(views: tuple[View, ...], box: Bounds) -> str | None:
+    """How a box is not what the images show, or None."""
+    steps = (np.arange(_PROBES) + 0.5) / _PROBES
+    probes = box.low + np.stack(np.meshgrid(steps, steps, steps), axis=-1).reshape(-1, 3) * box.extent
+    seen = [float(view.sees(probes).mean()) for view in views]
+    share, off = np.median(seen), np.median([_off_center(view, box) for view in views])
+    # An object that fills the frame leaves it on all sides; another set's box leaves it on one.
+    if share >= _LEAST_SEEN and (share >= _NEARLY_ALL or off <= _OFF_CENTER):
+        return None
+    worst = int(np.argmin(seen))
+    return (
+        "expected the bounding box in the middle of most images, or most of it inside, got "
+        f"{100 * share:.0f}% of it inside the median image ({views[worst].name}: {100 * seen[worst]:.0f}%)"
+    )
+
+
+def _off_center(view: View, box: Bounds) -> float:
+    """How far from the image's middle a box's middle is, 0 to 1 at the image's border; behind the camera: infinite."""
+    pixels, depth = view.project(box.center[None])
+    half = np.array([view.width, view.height]) / 2
+    return float(np.abs((pixels[0] + 0.5) / half - 1).max()) if depth[0] > 0 else np.inf

@@ -11,13 +11,14 @@ from typing import NamedTuple
 import numpy as np
 import open3d as o3d
 
-from recon3d.errors import ArgumentError, DataError, SceneError
+from recon3d.errors import ArgumentError, DataError
 from recon3d.io.alicevision import is_alicevision, read_alicevision
+from recon3d.io.backdrop import before_backdrop, check_foreground
 from recon3d.io.bouguet import is_bouguet, read_bouguet
 from recon3d.io.bundler import is_bundler, read_bundler
 from recon3d.io.calibrated import Calibrated
 from recon3d.io.calibration_record import is_calibration, read_calibration
-from recon3d.io.checking import told_of_another_size, warn_of_silhouettes, with_one_white
+from recon3d.io.checking import check_box, not_in_images, warn_of_silhouettes, with_one_white
 from recon3d.io.colmap import is_colmap, read_colmap
 from recon3d.io.handedness import MIRROR, mirrored
 from recon3d.io.matrices import is_matrices, read_matrices
@@ -40,11 +41,6 @@ from recon3d.scene.mask_files import fitting_masks, mask_folders, masks_of_views
 from recon3d.scene.names import stems_of
 from recon3d.scene.scene import Scene
 from recon3d.scene.silhouettes import (
-    BLACK,
-    background_color,
-    bounds_mask,
-    foreground,
-    has_plain_frame,
     with_mask_files,
     with_segmented_silhouettes,
     with_threshold_silhouettes,
@@ -86,12 +82,7 @@ _MADE = {
     "threshold": with_threshold_silhouettes,
 }
 
-_CHECKED = 8e6  # pixels that are looked at to check a box
 _FEWEST = 3  # views that are looked at, however large
-_LEAST_SEEN, _NEARLY_ALL = 0.25, 0.9  # of a box's volume, in the median view
-_LIT = 0.1  # of the pixels outside the box, that may be bright on a dark background
-_OFF_CENTER = 0.5  # of the way from the image's middle to its border
-_PROBES = 6  # along each side of a box
 
 
 def open_scene(
@@ -152,19 +143,19 @@ def open_scene(
             **({} if images is None else {"images from": str(Path(images).resolve())}),
         },
     )
-    _check_box(scene)
+    check_box(scene)
     if named or masks:
         scene = with_mask_files(scene, silhouettes) if named else scene
         warn_of_silhouettes(scene)
         return scene
     if silhouettes == "none":
         return scene
-    if silhouettes == "auto" and not _before_backdrop(scene):
+    if silhouettes == "auto" and not before_backdrop(scene):
         return replace(scene, notes={**scene.notes, "no silhouettes": "the background has many colors"})
     if silhouettes == "auto" and told_box:  # neither the box nor the background is sure
-        plain = _check_foreground(scene, must_fit=False, otherwise="; no silhouettes are made")
+        plain = check_foreground(scene, must_fit=False, otherwise="; no silhouettes are made")
         return with_segmented_silhouettes(scene, only=found.masked) if plain else scene
-    _check_foreground(scene, must_fit=bounds is None and not told_box, dark=silhouettes == "threshold")
+    check_foreground(scene, must_fit=bounds is None and not told_box, dark=silhouettes == "threshold")
     return _MADE[str(silhouettes)](scene, only=found.masked)
 
 
@@ -247,7 +238,7 @@ def _told_in_readme(found: Calibrated, views: tuple[View, ...], path: Path) -> t
         except DataError:
             continue
         box = mirrored(box) if found.left_handed else box
-        if _not_in_images(views, box) is None:  # else it is of another frame, as of a set that was calibrated anew
+        if not_in_images(views, box) is None:  # else it is of another frame, as of a set that was calibrated anew
             return box, read_unit(folder)
     return None, None
 
@@ -261,94 +252,3 @@ def _own_bounds(found: Calibrated, views: tuple[View, ...], readme: Bounds | Non
     box, how = enclosing_box(views, found.points)
     corners = ",".join(f"{x:.6g}" for x in (*box.low, *box.high))
     return box, {"bounds": f"{corners}, {how}{f' ({found.no_bounds})' if found.no_bounds else ''}"}
-
-
-def _check_box(scene: Scene) -> None:
-    """Refuse a box that is not in the images, as another set's frame would have it; warn of cameras inside it."""
-    box = scene.bounds
-    inside = [view.name for view in scene.views if (np.abs(view.center - box.center) < box.extent / 2).all()]
-    told = (
-        f"{len(inside)} of {len(scene.views)} cameras stand inside the bounding box ({', '.join(inside[:1])}): "
-        "give bounds around the object alone, not the room"
-    )
-    if wrong := _not_in_images(scene.views, box):
-        question = told_of_another_size(scene.views) or "Every set has its own world frame: is this another set's box?"
-        question = told if inside else question
-        raise SceneError(f"{scene.name}: {wrong}. {question}")
-    if inside:
-        warnings.warn(f"{scene.name}: {told}", stacklevel=3)
-    if scaled := told_of_another_size(scene.views):
-        warnings.warn(f"{scene.name}: {scaled}", stacklevel=3)
-
-
-def _not_in_images(views: tuple[View, ...], box: Bounds) -> str | None:
-    """How a box is not what the images show, or None."""
-    steps = (np.arange(_PROBES) + 0.5) / _PROBES
-    probes = box.low + np.stack(np.meshgrid(steps, steps, steps), axis=-1).reshape(-1, 3) * box.extent
-    seen = [float(view.sees(probes).mean()) for view in views]
-    share, off = np.median(seen), np.median([_off_center(view, box) for view in views])
-    # An object that fills the frame leaves it on all sides; another set's box leaves it on one.
-    if share >= _LEAST_SEEN and (share >= _NEARLY_ALL or off <= _OFF_CENTER):
-        return None
-    worst = int(np.argmin(seen))
-    return (
-        "expected the bounding box in the middle of most images, or most of it inside, got "
-        f"{100 * share:.0f}% of it inside the median image ({views[worst].name}: {100 * seen[worst]:.0f}%)"
-    )
-
-
-def _off_center(view: View, box: Bounds) -> float:
-    """How far from the image's middle a box's middle is, 0 to 1 at the image's border; behind the camera: infinite."""
-    pixels, depth = view.project(box.center[None])
-    half = np.array([view.width, view.height]) / 2
-    return float(np.abs((pixels[0] + 0.5) / half - 1).max()) if depth[0] > 0 else np.inf
-
-
-def _looked_at(scene: Scene) -> list[View]:
-    """Some views of many, evenly chosen, to judge all by."""
-    n = len(scene.views)
-    pixels = sum(view.width * view.height for view in scene.views) / n
-    count = int(np.clip(_CHECKED / pixels, min(_FEWEST, n), n))
-    return [scene.views[k] for k in np.linspace(0, n - 1, count).round().astype(int)]
-
-
-def _before_backdrop(scene: Scene) -> bool:
-    """Whether half of the photographs or more show an object before a background of about one color."""
-    return bool(np.mean([has_plain_frame(view.image) for view in _looked_at(scene)]) >= 0.5)
-
-
-def _check_foreground(scene: Scene, *, must_fit: bool, dark: bool = False, otherwise: str = "") -> bool:
-    """Refuse a box that cuts an object on a background of one color off, or warn of it; looks at some of many views.
-
-    Parameters
-    ----------
-    dark : the background must be dark.
-    otherwise : end of the warning.
-
-    Returns
-    -------
-    Whether nothing was found to be wrong.
-    """
-    shares, lit = [], []
-    chosen = _looked_at(scene)
-    color = BLACK if dark else background_color(chosen, scene.bounds)
-    for view in chosen:
-        bright = foreground(view.image, color=color)
-        within = bounds_mask(scene.bounds, view)
-        held, all_bright, beside = (int(np.count_nonzero(mask)) for mask in (bright & within, bright, ~within))
-        shares.append(held / max(all_bright, 1))
-        lit.append((all_bright - held) / max(beside, 1))
-    # A box that fills the image holds what stands out though the little beside it is no plain background.
-    if np.median(shares) >= 0.9 and (must_fit or np.median(lit) <= _LIT):
-        return True
-    stands_out = "is bright" if color == BLACK else f"is not of the background's color {color}"
-    message = (
-        f"{scene.name}: the bounding box holds {100 * np.median(shares):.0f}% of what {stands_out} in the median "
-        f"image, and {100 * np.median(lit):.0f}% of the pixels outside it are so. Is this another set's box (every set "
-        "has its own world frame), or a background that is not dark, nor of one color? For that give silhouettes as a "
-        "folder of masks, or none"
-    )
-    if must_fit:
-        raise SceneError(message)
-    warnings.warn(message + otherwise, stacklevel=3)
-    return False
