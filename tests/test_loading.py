@@ -265,8 +265,11 @@ def test_what_is_no_record_of_a_test_is_refused() -> None:
 @pytest.mark.usefixtures("here")
 def test_a_users_own_test_is_made_again_only_where_it_is_named(tmp_path: Path) -> None:
     loaded = load_test("users_own_tests:AtLeast", level=0.8)
-    with pytest.raises(DataError, match=r"the test users_own_tests:AtLeast is not the package's own, .*"
-                       "--test users_own_tests:AtLeast"):  # fmt: skip
+    with pytest.raises(
+        DataError,
+        match=r"the test users_own_tests:AtLeast is not the package's own, .*"
+        r"if it is yours, name it by --test module:name",
+    ):
         recorded(loaded, tmp_path)
     assert recorded(loaded, tmp_path, "users_own_tests:AtLeast") == loaded
     with pytest.warns(UserWarning, match="the recorded test is users_own_tests:AtLeast, and users_own_tests:of_level"):
