@@ -152,7 +152,7 @@ set_up() { # [EXTRA]
             -c "$root/requirements.lock" -e "$root${extra:+[$extra]}" || die "installing failed"
         quietly "$python" -c 'import open3d, recon3d' || die "Open3D was installed but does not load"
         fingerprint >"$venv/recon3d-${extra:-runtime}.stamp"
-        say "compiling for this machine, once: about 20 s"
+        say "compiling for this machine, once"
         "$python" -m recon3d.cli.precompile >/dev/null 2>&1 </dev/null || say "compiling is left to the first run"
         say "done"
     fi
