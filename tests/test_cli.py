@@ -25,7 +25,7 @@ from recon3d.stereo.refinement import PASSES
 
 def run(*arguments: object, expect: int = 0, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
     process = subprocess.run(
-        [sys.executable, "-m", "recon3d.cli", *map(str, arguments)],
+        [sys.executable, "-m", "recon3d", *map(str, arguments)],
         capture_output=True,
         text=True,
         env={**os.environ, "COLUMNS": "120", "NO_COLOR": "1"},

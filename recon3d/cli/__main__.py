@@ -1,5 +1,0 @@
-"""``python -m recon3d.cli``."""
-
-from recon3d.cli import main
-
-main()
