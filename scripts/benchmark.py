@@ -27,7 +27,7 @@ VOXELS = (100_000, 1_000_000, 10_000_000)
 def run_once(scene: str, options: list[str], voxels: int, views: int, cache: Path) -> dict[str, float]:
     """Carving and wall seconds, peak MB of one command."""
     with tempfile.TemporaryDirectory() as folder:
-        command = [sys.executable, "-m", "recon3d.cli", "reconstruct", scene, "--no-pictures", *options]
+        command = [sys.executable, "-m", "recon3d", "reconstruct", scene, "--no-pictures", *options]
         command += ["--voxels", str(voxels), "--max-views", str(views), "--output", folder]
         start = time.perf_counter()
         process = subprocess.Popen(  # noqa: S603
