@@ -315,7 +315,7 @@ def test_masks_of_other_numbers_of_digits_belong_to_the_same_views(scene: Scene,
 
 def test_a_world_of_hundreds_is_taken_for_millimetres(scene: Scene, tmp_path: Path) -> None:
     write_neus(scene, tmp_path)
-    assert open_scene(tmp_path, silhouettes="none").mm_per_unit == 1000
+    assert open_scene(tmp_path, silhouettes="none").mm_per_unit is None
     with np.load(tmp_path / "cameras_sphere.npz") as held:
         matrices = dict(held)
     for name in matrices:

@@ -102,9 +102,11 @@ def test_a_distorted_lens_is_written_undistorted(temple: BuiltInScene, tmp_path:
 def test_a_unit_that_is_not_known_is_not_made_up(temple: BuiltInScene, tmp_path: Path) -> None:
     scene = without_skew(temple.scene)
     first = open_scene(write_scene(replace(scene, mm_per_unit=None), tmp_path / "colmap", "colmap"))
-    second = open_scene(write_scene(first, tmp_path / "transforms", "transforms"))
+    second = open_scene(write_scene(first, tmp_path / "middlebury", "middlebury"))
     for read in (first, second):
+        assert read.mm_per_unit is None
         assert read.notes["unit"].startswith("not known")
+        assert str(read.summary()["extent"]).endswith("(no scale)")
 
 
 def test_nothing_is_left_of_a_scene_that_could_not_be_written(

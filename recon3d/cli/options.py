@@ -106,7 +106,7 @@ MmPerUnit = Annotated[
     typer.Option(
         metavar="MM",
         help="Millimetres in one world unit.",
-        show_default="the format's, or 1000 (metres)",
+        show_default="the format's, if it has a unit",
         rich_help_panel=INPUT,
     ),
 ]

@@ -25,7 +25,6 @@ from recon3d.errors import DataError
 from recon3d.io.calibrated import Calibrated, CalibratedImage
 from recon3d.io.reading import (
     IMAGE_FOLDERS,
-    UNIT_UNKNOWN,
     camera_of,
     entries,
     find_images,
@@ -96,7 +95,7 @@ def read_alicevision(path: Path, images: Path | None = None) -> Calibrated:
     for name, image in find_images(list(views), places, str(file)).items():
         view, where = views[name], f"{file}: view {name}"
         calibrated[image] = _image(image, lenses[str(view["intrinsicId"])], poses[str(view["poseId"])], version, where)
-    notes = {"format": f"AliceVision ({file.name})", **UNIT_UNKNOWN}
+    notes = {"format": f"AliceVision ({file.name})"}
     if left_out:
         notes["left out"] = f"{len(left_out)} views without a pose: {listed(left_out)}"
     structure = entries(content, "structure", str(file)) if content.get("structure") else []

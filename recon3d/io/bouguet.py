@@ -25,7 +25,6 @@ from recon3d.errors import DataError
 from recon3d.io.calibrated import Calibrated, CalibratedImage
 from recon3d.io.reading import (
     IMAGE_FOLDERS,
-    UNIT_UNKNOWN,
     camera_of,
     image_files,
     listed,
@@ -85,7 +84,7 @@ def read_bouguet(path: Path, images: Path | None = None) -> Calibrated:
         )
     if not calibrated:
         raise DataError(f"{file}: expected omc_1, Tc_1 and so on of at least one image and its photograph, found none")
-    notes = {"format": "Bouguet", **UNIT_UNKNOWN}
+    notes = {"format": "Bouguet"}
     if len(used) < len(keys):
         notes["left out"] = f"not calibrated: images {listed([str(key) for key in keys if key not in used])}"
     return Calibrated(file.parent.resolve().name, views_named(calibrated), notes=notes)

@@ -22,7 +22,6 @@ from recon3d.errors import DataError
 from recon3d.io.calibrated import Calibrated, CalibratedImage
 from recon3d.io.reading import (
     IMAGE_FOLDERS,
-    UNIT_UNKNOWN,
     camera_of,
     find_images,
     image_files,
@@ -114,7 +113,6 @@ def read_bundler(path: Path, images: Path | None = None) -> Calibrated:
         "format": f"Bundler ({file.name})",
         "principal point": "taken to be the images' middle: the format has none",
         **note,
-        **UNIT_UNKNOWN,
     }
     lost = [str(n) for n, camera in enumerate(cameras) if not camera.focal]
     if lost:

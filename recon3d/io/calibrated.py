@@ -43,8 +43,8 @@ class Calibrated:
     """(n, 3) points of what the photographs show, world; a box is found from them where there are no bounds."""
     left_handed: bool = False
     """Whether the files' world, that of bounds, points and a README, is left-handed; the cameras are of its mirror."""
-    mm_per_unit: float | None = 1000.0
-    """Millimetres in a world unit, where the user does not say; None: no scale is known."""
+    mm_per_unit: float | None = None
+    """Millimetres in a world unit, where the user does not say; None: the format has no unit."""
     masked: frozenset[str] | None = None
     """Names of the views whose silhouettes are good; None: all that have a mask."""
     notes: Mapping[str, str] = field(default_factory=dict)

@@ -22,7 +22,6 @@ from recon3d.errors import DataError
 from recon3d.io.calibrated import Calibrated, CalibratedImage
 from recon3d.io.reading import (
     IMAGE_FOLDERS,
-    UNIT_UNKNOWN,
     camera_of,
     find_images,
     numbers,
@@ -122,7 +121,7 @@ def read_colmap(path: Path, images: Path | None = None) -> Calibrated:
         next((part for part in reversed(path.resolve().parts) if part not in ("0", "sparse")), "colmap"),
         tuple(sorted(calibrated, key=lambda image: image.name)),
         points=_points(model, binary=binary),
-        notes={"format": "COLMAP", **UNIT_UNKNOWN},
+        notes={"format": "COLMAP"},
     )
 
 

@@ -27,7 +27,6 @@ from recon3d.io.handedness import signed
 from recon3d.io.matrix_files import MOST, SUFFIXES, Matrix, matrices_in
 from recon3d.io.reading import (
     IMAGE_FOLDERS,
-    UNIT_UNKNOWN,
     find_image,
     find_images,
     image_files,
@@ -107,7 +106,7 @@ def read_matrices(path: Path, images: Path | None = None) -> Calibrated:
         scene.resolve().name,
         views_named(calibrated),
         left_handed=left_handed,
-        notes={"format": f"projection matrices ({(whole or files)[0].suffix[1:]})", **UNIT_UNKNOWN},
+        notes={"format": f"projection matrices ({(whole or files)[0].suffix[1:]})"},
     )
 
 

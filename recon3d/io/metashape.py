@@ -24,7 +24,6 @@ from recon3d.errors import DataError
 from recon3d.io.calibrated import Calibrated, CalibratedImage
 from recon3d.io.reading import (
     IMAGE_FOLDERS,
-    UNIT_UNKNOWN,
     camera_of,
     find_images,
     listed,
@@ -104,13 +103,14 @@ def read_metashape(path: Path, images: Path | None = None) -> Calibrated:
         used.append(frame)
         calibrated.append(_image(camera, image, sensors[key], frame, where))
     scaled = whole.scale != 1 or chunk.find("transform") is not None
-    notes = {"format": "Metashape XML", **({} if scaled else UNIT_UNKNOWN)}
+    notes = {"format": "Metashape XML"}
     if left_out:
         notes["left out"] = f"{len(left_out)} cameras that are not aligned or not enabled: {listed(left_out)}"
     return Calibrated(
         file.parent.resolve().name,
         tuple(sorted(calibrated, key=lambda image: image.name)),
         bounds=next((frame.bounds for frame in used if frame.bounds), whole.bounds),
+        mm_per_unit=1000.0 if scaled else None,
         notes=notes,
     )
 

@@ -16,7 +16,7 @@ from recon3d.errors import DataError
 from recon3d.io.calibrated import Calibrated, CalibratedImage
 from recon3d.io.files import write_image, write_text
 from recon3d.io.par_file import camera_of_line, plain_name, poses_of_lines, read_par_file
-from recon3d.io.reading import IMAGE_FOLDERS, UNIT_UNKNOWN, find_image, find_images, number_fields, read_text
+from recon3d.io.reading import IMAGE_FOLDERS, find_image, find_images, number_fields, read_text
 from recon3d.scene.bounds import Bounds
 from recon3d.scene.mask_files import mask_folders
 from recon3d.scene.names import file_stems
@@ -29,6 +29,7 @@ PADDING = 0.01
 SILHOUETTE_FOLDER = "silhouettes"
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+_UNIT, _NO_UNIT = "A world unit is", "not known"  # of a README that recon3d has written
 _CORNER = r"[(\[{]([^()\[\]{}]+)[)\]}]"
 
 
@@ -81,6 +82,7 @@ def read_middlebury(path: Path, images: Path | None = None) -> Calibrated:
         bounds=box,
         no_bounds=no_box,
         left_handed=left_handed,
+        mm_per_unit=None if f"{_UNIT} {_NO_UNIT}" in _text_of_readme(folder) else 1000.0,
         masked=_good_silhouettes(folder, {line.name for line in lines}),
         notes={"format": "Middlebury", **told},
     )
@@ -110,21 +112,17 @@ def write_readme(scene: Scene, folder: Path) -> Path:
     """Write bounds and unit of a scene as the README of a set; returns the file."""
     tight = scene.bounds.padded(-PADDING / (1 + 2 * PADDING) * scene.bounds.longest)
     low, high = (" ".join(map(repr, corner)) for corner in (tight.low, tight.high))
-    told = scene.mm_per_unit is not None and scene.notes.get("unit") != UNIT_UNKNOWN["unit"]
-    unit = f"{scene.mm_per_unit!r} mm" if told else "not known"
+    unit = _NO_UNIT if scene.mm_per_unit is None else f"{scene.mm_per_unit!r} mm"
     return write_text(
         folder / "README.txt",
         f"{scene.name}: {len(scene.views)} views\n\nThe (tight) bounding box is\n({low})\n({high})\n\n"
-        f"A world unit is {unit}.\n",
+        f"{_UNIT} {unit}.\n",
     )
 
 
 def read_unit(folder: Path) -> float | None:
     """Millimetres in a world unit, where the README of a scene that recon3d wrote says them."""
-    try:
-        found = re.search(rf"A world unit is ({_NUMBER}) mm\b", read_text(_readme(folder)))
-    except DataError:
-        return None
+    found = re.search(rf"{_UNIT} ({_NUMBER}) mm\b", _text_of_readme(folder))
     return float(found[1]) if found and 0 < float(found[1]) < np.inf else None
 
 
@@ -185,6 +183,14 @@ def _readme(folder: Path | str) -> Path:
     if not readmes:
         raise DataError(f"{folder}: expected a README.txt with the bounding box; give bounds instead")
     return readmes[0]
+
+
+def _text_of_readme(folder: Path) -> str:
+    """Text of the README of a set; empty where there is none."""
+    try:
+        return read_text(_readme(folder))
+    except DataError:
+        return ""
 
 
 def _named(kind: str) -> str:

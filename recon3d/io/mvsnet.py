@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from recon3d.errors import DataError
 from recon3d.io.calibrated import Calibrated, CalibratedImage
-from recon3d.io.reading import IMAGE_FOLDERS, UNIT_UNKNOWN, camera_of, image_files, numbered, numbers, views_named
+from recon3d.io.reading import IMAGE_FOLDERS, camera_of, image_files, numbered, numbers, views_named
 from recon3d.scene.photograph import Photograph
 
 _CAMERAS = ("cams", "cameras", "cams_1", "")
@@ -54,7 +54,7 @@ def read_mvsnet(path: Path) -> Calibrated:
             f"{path}: K is of 1/{max(fractions)} of the photographs' size, as its principal point says: scaled",
             stacklevel=4,
         )
-    return Calibrated(scene.resolve().name, views_named(images), notes={"format": "MVSNet", **UNIT_UNKNOWN})
+    return Calibrated(scene.resolve().name, views_named(images), notes={"format": "MVSNet"})
 
 
 def _files(path: Path) -> dict[int, Path]:

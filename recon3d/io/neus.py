@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from recon3d.errors import DataError
 from recon3d.io.calibrated import Calibrated, CalibratedImage
 from recon3d.io.middlebury import read_padded_bounds
-from recon3d.io.reading import IMAGE_FOLDERS, UNIT_UNKNOWN, image_files, numbered, views_named
+from recon3d.io.reading import IMAGE_FOLDERS, image_files, numbered, views_named
 from recon3d.scene.bounds import Bounds
 from recon3d.scene.camera import Camera
 from recon3d.scene.photograph import Photograph
@@ -66,12 +66,12 @@ def read_neus(path: Path, images: Path | None = None) -> Calibrated:
             raise DataError(f"{file}: world_mat_{key}: {error}") from None
         calibrated[image] = CalibratedImage("", photograph, camera)
     millimetres = sphere is not None and sphere.longest / 2 >= _MILLIMETRES
-    unit = {"unit": "taken for a millimetre, the object's sphere being so large"} if millimetres else UNIT_UNKNOWN
+    unit = {"unit": "taken for a millimetre, the object's sphere being so large"} if millimetres else {}
     return Calibrated(
         file.parent.resolve().name,
         views_named(calibrated),
         bounds=_tighter(sphere, file.parent),
-        mm_per_unit=1.0 if millimetres else 1000.0,
+        mm_per_unit=1.0 if millimetres else None,
         notes={"format": f"{file.name} (IDR, NeuS)", **unit},
     )
 

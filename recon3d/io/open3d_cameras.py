@@ -21,7 +21,6 @@ from recon3d.errors import DataError
 from recon3d.io.calibrated import Calibrated, CalibratedImage
 from recon3d.io.reading import (
     IMAGE_FOLDERS,
-    UNIT_UNKNOWN,
     camera_of,
     find_image,
     image_files,
@@ -71,7 +70,7 @@ def read_open3d(path: Path) -> Calibrated:
         named = [image for image in by_name if image is not None]
         paths = named if len(named) == len(single) else in_order(len(cameras), photographs, str(folder))
     images = {image: _image(image, *camera) for image, camera in zip(paths, cameras, strict=True)}
-    return Calibrated(folder.resolve().name, views_named(images), notes={"format": "Open3D", **UNIT_UNKNOWN})
+    return Calibrated(folder.resolve().name, views_named(images), notes={"format": "Open3D"})
 
 
 def _files(path: Path) -> dict[Path, str]:

@@ -22,7 +22,6 @@ from recon3d.errors import DataError
 from recon3d.io.calibrated import Calibrated, CalibratedImage
 from recon3d.io.reading import (
     IMAGE_FOLDERS,
-    UNIT_UNKNOWN,
     camera_of,
     find_images,
     image_files,
@@ -93,9 +92,7 @@ def read_opencv_storage(path: Path, images: Path | None = None) -> Calibrated:
         photograph = photograph_of(image, size, stored=False)
         camera = camera_of(K.reshape(3, 3), poses[name], size, photograph, f"{file}: {name}", distortion)
         calibrated[image] = CalibratedImage("", photograph, camera)
-    return Calibrated(
-        file.parent.resolve().name, views_named(calibrated), notes={"format": "OpenCV FileStorage", **UNIT_UNKNOWN}
-    )
+    return Calibrated(file.parent.resolve().name, views_named(calibrated), notes={"format": "OpenCV FileStorage"})
 
 
 def _file(path: Path) -> Path | None:

@@ -104,8 +104,8 @@ def open_scene(
         "segmented" where not; "segmented" or "threshold": made from a background of one color by GrabCut, or from a
         dark one by the recipe of dinoSparseRing's README, of all views or of those that the scene says have good
         ones; "none"; or a folder of masks.
-    mm_per_unit : millimetres in one world unit; what the README of ``write_scene`` or the format says, or 1000
-        (metres), when None. Photographs that were calibrated without a scale have none.
+    mm_per_unit : millimetres in one world unit; what the README of ``write_scene`` or the format says when None. Most
+        formats have no unit: then no scale is known, and nothing is said in millimetres.
     images : folder of the photographs, where they do not lie with the cameras.
 
     Raises
@@ -126,16 +126,18 @@ def open_scene(
     views = tuple(View(image.camera, image.photograph, None, image.name) for image in found.images)
     masks, told_masks = _own_masks(found, views, path) if silhouettes == "auto" else ({}, {})
     views = tuple(replace(view, mask=masks.get(view.name)) for view in views)
-    readme, unit = _told_in_readme(found, views, path)
+    readme, told_unit = _told_in_readme(found, views, path)
+    unit = next((mm for mm in (mm_per_unit, told_unit) if mm is not None), found.mm_per_unit)
     box, told_box = (Bounds.of(bounds), {}) if bounds is not None else _own_bounds(found, views, readme)
     scene = Scene(
         views,
         box,
         found.name,
-        next((mm for mm in (mm_per_unit, unit) if mm is not None), found.mm_per_unit),
+        unit,
         {
             **found.notes,
-            **({} if unit is None else {"unit": "that of the README"}),
+            **({} if told_unit is None else {"unit": "that of the README"}),
+            **({"unit": "not known; mm_per_unit (--mm-per-unit) gives millimetres"} if unit is None else {}),
             **told_masks,
             **told_box,
             "source": str(path.resolve()),

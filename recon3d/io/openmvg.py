@@ -24,7 +24,6 @@ from recon3d.errors import DataError
 from recon3d.io.calibrated import Calibrated, CalibratedImage
 from recon3d.io.reading import (
     IMAGE_FOLDERS,
-    UNIT_UNKNOWN,
     camera_of,
     entries,
     find_images,
@@ -87,7 +86,7 @@ def read_openmvg(path: Path, images: Path | None = None) -> Calibrated:
     for name, image in find_images(list(taken), places, str(file)).items():
         view, where = views[taken[name]], f"{file}: view {taken[name]} ({name})"
         calibrated[image] = _image(image, lenses[str(view["id_intrinsic"])], poses[str(view["id_pose"])], where)
-    notes = {"format": f"OpenMVG ({file.name})", **UNIT_UNKNOWN}
+    notes = {"format": f"OpenMVG ({file.name})"}
     if left_out:
         notes["left out"] = f"{len(left_out)} views without a pose: {listed(left_out)}"
     structure = _by_key(content, "structure", file) if content.get("structure") else {}

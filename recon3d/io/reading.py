@@ -25,9 +25,6 @@ from recon3d.scene.photograph import Photograph
 IMAGE_FOLDERS = ("images", "image", "input", "rgb", "color", "photos", "")
 """Usual names of the folder of photographs, beside or in the folder of a model."""
 
-UNIT_UNKNOWN = {"unit": "not known; a world unit is taken for a metre"}
-"""Note of the formats that have no unit."""
-
 _MOST_TEXT = 512 * 2**20  # bytes of a text file
 _LARGEST_SIDE = 1_000_000  # pixels
 _FEWEST_BYTES = 8  # that tell UTF-16 without a mark

@@ -20,7 +20,6 @@ from recon3d.errors import DataError
 from recon3d.io.calibrated import Calibrated, CalibratedImage
 from recon3d.io.reading import (
     IMAGE_FOLDERS,
-    UNIT_UNKNOWN,
     camera_of,
     find_images,
     natural,
@@ -59,7 +58,8 @@ def read_strecha(path: Path, images: Path | None = None) -> Calibrated:
     places = [images] if images else [place / name for place in (scene, files[0].parent) for name in IMAGE_FOLDERS]
     found = find_images([file.stem for file in files], places, str(files[0].parent))
     calibrated = {found[file.stem]: _image(found[file.stem], file) for file in files if file.stem in found}
-    return Calibrated(scene.resolve().name, views_named(calibrated), notes={"format": "Strecha", **UNIT_UNKNOWN})
+    notes = {"format": "Strecha", "unit": "taken for a metre, as in Strecha's own sets"}
+    return Calibrated(scene.resolve().name, views_named(calibrated), mm_per_unit=1000.0, notes=notes)
 
 
 def _files(path: Path) -> list[Path]:

@@ -23,7 +23,6 @@ from numpy.typing import NDArray
 from recon3d.errors import DataError
 from recon3d.io.calibrated import Calibrated, CalibratedImage
 from recon3d.io.reading import (
-    UNIT_UNKNOWN,
     camera_of,
     find_image,
     numbers,
@@ -81,9 +80,7 @@ def read_transforms(path: Path) -> Calibrated:
     if not images:
         raise DataError(f"{files[0]}: none of its {listed} photographs is there")
     names = ", ".join(file.name for file in files)
-    return Calibrated(
-        files[0].parent.resolve().name, views_named(images), notes={"format": f"{names} (NeRF)", **UNIT_UNKNOWN}
-    )
+    return Calibrated(files[0].parent.resolve().name, views_named(images), notes={"format": f"{names} (NeRF)"})
 
 
 def _files(path: Path) -> list[Path]:

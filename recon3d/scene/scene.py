@@ -176,7 +176,8 @@ class Scene(ByContent, Summarised):
         """
         if self.mm_per_unit is None:
             raise SceneError(
-                f"scene {self.name}: no scale is known, so nothing can be measured in millimetres; give mm_per_unit"
+                f"scene {self.name}: no scale is known, so nothing can be measured in millimetres; give "
+                "mm_per_unit (--mm-per-unit)"
             )
         return self.mm_per_unit
 
