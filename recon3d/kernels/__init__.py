@@ -17,16 +17,21 @@ numba.config.THREADING_LAYER_PRIORITY = ["omp", "workqueue", "tbb"]
 __all__ = ["Part", "kernel", "span"]
 
 
-def kernel(*, parallel: bool = False) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+def kernel(*, parallel: bool = False, regrouped: bool = False) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """Compile to machine code that is kept on disk and releases the interpreter lock.
 
     A parallel kernel takes a ``Part`` of the work before the arguments that its callers give, and its outermost loop
     runs over the ``span`` of that part. It is called once for each of several parts, from as many threads as
     ``numba.get_num_threads()``: numba's own parallel loops take four times as long to compile, and run no faster.
+
+    The sums of a regrouped kernel may be taken in any order, and its products and quotients be rounded together with
+    what follows, so that the processor works on several terms at a time. It becomes part of each kernel that calls it:
+    of two copies that were compiled with different sums, chance would say which one runs.
     """
+    fast = {"reassoc", "contract", "arcp", "nsz"} if regrouped else False
 
     def compile_kernel(function: Callable[..., Any]) -> Callable[..., Any]:
-        compiled = numba.njit(nogil=True, error_model="numpy")(function)
+        compiled = numba.njit(nogil=True, error_model="numpy", fastmath=fast, forceinline=regrouped)(function)
         compiled._cache = CodeFiles(function)
         return in_parts(compiled) if parallel else compiled
 

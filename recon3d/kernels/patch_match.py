@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recon3d.kernels import Part, kernel, span
+from recon3d.kernels.correlation import Plane, Samples, correlation, grid
 from recon3d.kernels.types import Compared
 
 NOTHING = 2.0
@@ -62,36 +63,6 @@ class Planes(NamedTuple):
     """(rows, columns) 1 - NCC in [0, 2]; ``NOTHING`` before the first sweep."""
 
 
-class Plane(NamedTuple):
-    """A plane as a pixel sees it."""
-
-    inverse_depth: float
-    """At the pixel, 1 / world units."""
-    along_u: float
-    """Change of inverse depth a column."""
-    along_v: float
-    """Change of inverse depth a row."""
-
-
-class _Samples(NamedTuple):
-    """A pixel's own window."""
-
-    values: NDArray[np.float32]
-    """(count,) grey levels less their weighted mean, row by row."""
-    weights: NDArray[np.float32]
-    """(count,) of sum one."""
-    power: np.float32
-    """Weighted variance."""
-    u: int
-    """Column of the pixel."""
-    v: int
-    """Row of the pixel."""
-    half: int
-    """Samples from the middle to the sides."""
-    spacing: int
-    """Pixels between samples."""
-
-
 @kernel(parallel=True)
 def match_planes(
     part: Part, compared: Compared, window: WeightedWindow, search: Search, sweep: HalfSweep, found: Planes
@@ -109,6 +80,7 @@ def match_planes(
     reach = half * window.spacing
     count = (2 * half + 1) ** 2
     values, weights, chosen = np.empty(count, np.float32), np.empty(count, np.float32), np.empty(most_views, np.int64)
+    across, down = grid(half)
     for row in span(part, rows):
         state = np.uint64(row * 7919 + number * 104729 + 12345)
         for column in range((row + number) & 1, columns, 2):
@@ -116,10 +88,10 @@ def match_planes(
             v = row * stride
             if visible[row, column] == 0 or u < reach or v < reach or u >= width - reach or v >= height - reach:
                 continue
-            power = _take_window(compared.image, u, v, window, values, weights)
+            level, power = _take_window(compared.image, u, v, window, values, weights)
             if power < window.min_deviation * window.min_deviation:
                 continue
-            own = _Samples(values, weights, power, u, v, half, window.spacing)
+            own = Samples(values, weights, across, down, level, power, u, v, half, window.spacing)
             n_chosen = 0
             for j in range(compared.others.shape[0]):
                 if n_chosen < most_views and (visible[row, column] >> np.uint32(j)) & np.uint32(1):
@@ -128,7 +100,7 @@ def match_planes(
             low = 1.0 / farthest[row, column]
             high = 1.0 / nearest[row, column]
             best = _plane(planes, row, column)
-            least = _cost(own, best, chosen[:n_chosen], compared)
+            least = _cost(own, best, chosen[:n_chosen], compared, NOTHING)
             # Neighbours at odd distances have the other parity.
             for trial in range(8 + ranges.shape[0]):
                 if trial < 8:
@@ -157,7 +129,7 @@ def match_planes(
                 if w < low or w > high:
                     continue
                 plane = Plane(w, wu, wv)
-                cost = _cost(own, plane, chosen[:n_chosen], compared)
+                cost = _cost(own, plane, chosen[:n_chosen], compared, least)
                 if cost < least:
                     least = cost
                     best = plane
@@ -183,8 +155,11 @@ def _take_window(
     window: WeightedWindow,
     values: NDArray[np.float32],
     weights: NDArray[np.float32],
-) -> np.float32:
-    """Window around a pixel less its mean, weights of sum one that fall with distance and difference; its variance."""
+) -> tuple[np.float32, np.float32]:
+    """Window around a pixel less its mean, weights of sum one that fall with distance and difference.
+
+    Returns the weighted mean and variance.
+    """
     spacing = window.spacing
     half = window.radius // spacing
     center = image[v, u]
@@ -206,7 +181,7 @@ def _take_window(
         weights[n] /= total
         values[n] -= mean
         power += weights[n] * values[n] * values[n]
-    return power
+    return mean, power
 
 
 @kernel()
@@ -217,68 +192,20 @@ def _random(state: np.uint64) -> tuple[np.uint64, np.float32]:
 
 
 @kernel()
-def _cost(own: _Samples, plane: Plane, chosen: NDArray[np.int64], compared: Compared) -> float:
-    """Mean of the two smallest 1 - NCC over the chosen views; the only one's where there is one."""
+def _cost(own: Samples, plane: Plane, chosen: NDArray[np.int64], compared: Compared, least: float) -> float:
+    """Mean of the two smallest 1 - NCC over the chosen views; the only one's where there is one.
+
+    ``NOTHING`` where the last view could not bring it below ``least`` any more.
+    """
     first = NOTHING
     second = NOTHING
-    for j in chosen:
-        cost = 1.0 - _correlation(own, plane, compared, j)
+    for n in range(len(chosen)):
+        if 0 < n == len(chosen) - 1 and 0.5 * first >= least:
+            return NOTHING
+        cost = 1.0 - correlation(own, plane, compared, chosen[n])
         if cost < first:
             second = first
             first = cost
         elif cost < second:
             second = cost
     return first if len(chosen) == 1 else 0.5 * (first + second)
-
-
-@kernel()
-def _correlation(own: _Samples, plane: Plane, compared: Compared, j: int) -> float:
-    """Weighted NCC of a window with its image in another view; -1 where that leaves the view.
-
-    Within a window the plane's homography is as good as its affine part, which needs no division a sample.
-    """
-    values, weights, power, u, v, half, spacing = own
-    w, wu, wv = plane
-    H, e, other = compared.homographies[j], compared.epipoles[j], compared.others[j]
-    width, height = compared.other_sizes[j, 0], compared.other_sizes[j, 1]
-    z = H[2, 0] * u + H[2, 1] * v + H[2, 2] + w * e[2]
-    if z <= 0.0:
-        return -1.0
-    x = (H[0, 0] * u + H[0, 1] * v + H[0, 2] + w * e[0]) / z
-    y = (H[1, 0] * u + H[1, 1] * v + H[1, 2] + w * e[1]) / z
-    zu = H[2, 0] + wu * e[2]
-    zv = H[2, 1] + wv * e[2]
-    xu = (H[0, 0] + wu * e[0] - x * zu) / z * spacing
-    xv = (H[0, 1] + wv * e[0] - x * zv) / z * spacing
-    yu = (H[1, 0] + wu * e[1] - y * zu) / z * spacing
-    yv = (H[1, 1] + wv * e[1] - y * zv) / z * spacing
-    wide = half * (abs(xu) + abs(xv)) + 1e-3
-    high = half * (abs(yu) + abs(yv)) + 1e-3
-    if not (x >= wide and y >= high and x + wide < width - 1.0 and y + high < height - 1.0):
-        return -1.0
-    mean = 0.0
-    square = 0.0
-    product = 0.0
-    at = 0
-    for dv in range(-half, half + 1):
-        a = x + dv * xv - half * xu
-        b = y + dv * yv - half * yu
-        for _ in range(2 * half + 1):
-            column = int(a)
-            row = int(b)
-            s = a - column
-            t = b - row
-            top = other[row, column] + s * (other[row, column + 1] - other[row, column])
-            bottom = other[row + 1, column] + s * (other[row + 1, column + 1] - other[row + 1, column])
-            value = top + t * (bottom - top)
-            weighted = weights[at] * value
-            mean += weighted
-            square += weighted * value
-            product += weighted * values[at]
-            at += 1
-            a += xu
-            b += yu
-    variance = square - mean * mean
-    if variance < 0.25:
-        return -1.0
-    return product / np.sqrt(power * variance)
