@@ -25,6 +25,15 @@ class SceneError(Recon3dError):
     """Views, bounds and images do not fit together."""
 
 
+class SceneWarning(UserWarning):
+    """Views, bounds and masks of a scene that was opened may not fit together; what is wrong may be found out."""
+
+    def __init__(self, message: str, about: str) -> None:
+        super().__init__(message)
+        self.about = about
+        """As of a ``Finding``: "cameras", "bounds" or "masks"."""
+
+
 class CalibrationError(Recon3dError):
     """The photographs do not determine their cameras."""
 

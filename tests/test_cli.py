@@ -8,6 +8,7 @@ import subprocess
 import sys
 import tempfile
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -88,6 +89,26 @@ def test_info_lists_the_views(photographs: Path, tmp_path: Path) -> None:
     assert "8 of 8 (ordinal visibility constraint)" in text
     assert text.count("silhouette") >= 8
     assert (tmp_path / "views.png").is_file()
+
+
+def test_info_on_a_scene_that_is_refused_tells_what_was_read_and_why(photographs: Path) -> None:
+    process = run("info", photographs, "--bounds", "-100,-100,0,100,100,200", expect=1)
+    assert "image size:                      160x120" in process.stdout
+    assert process.stdout.count("160x120  ") == 8  # the table of the views
+    assert "Check: nothing else wrong was found" in process.stdout
+    assert process.stderr.startswith("Error: scene photographs: no camera sees the bounds -100,-100,0 to 100,100,200")
+    assert run("info", photographs.parent, expect=1).stdout == ""  # not even read
+
+
+def test_what_is_wrong_with_a_scene_is_said_once(temple: BuiltInScene, tmp_path: Path) -> None:
+    views = temple.scene.views
+    order = [3 * n % 8 for n in range(8)]
+    shuffled = tuple(replace(view, calibration=views[n].calibration) for view, n in zip(views, order, strict=True))
+    folder = write_middlebury(replace(temple.scene, views=shuffled), tmp_path / "set")
+    process = run("info", folder)
+    assert (process.stdout + process.stderr).count("contradict each other") == 1
+    process = run("reconstruct", folder, "--voxels", 2000, "--method", "visual-hull", "--no-pictures", "-o", tmp_path)
+    assert process.stderr.count("contradict each other") == 1
 
 
 def test_a_reconstruction_is_written_measured_and_rendered(result: Path, temple: BuiltInScene, tmp_path: Path) -> None:

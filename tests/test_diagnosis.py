@@ -16,7 +16,7 @@ from recon3d.diagnosis import Finding, check_scene, diagnose
 from recon3d.diagnosis.figure import save_figure
 from recon3d.io import open_scene
 from recon3d.scene.bounds import Bounds
-from recon3d.scene.scene import Scene
+from recon3d.scene.scene import NO_SILHOUETTES, Scene
 from recon3d.scene.view import View
 
 OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -86,6 +86,8 @@ def test_a_good_scene_gives_no_alarm(scene: Scene) -> None:
 def test_photographs_without_texture_say_nothing_about_the_cameras(scene: Scene) -> None:
     grey = with_images(scene, lambda n, image: np.full_like(image, 60 + 8 * n))
     assert {finding.kind for finding in check_scene(posed(grey, np.linalg.inv))} <= {"cameras inside the box"}
+    without_masks = replace(grey, notes={NO_SILHOUETTES: "the background has many colors"})
+    assert [finding.kind for finding in check_scene(without_masks)] == ["neither masks nor matches"]
 
 
 @pytest.mark.parametrize(

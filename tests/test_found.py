@@ -24,6 +24,7 @@ from recon3d.io.files import write_image
 from recon3d.scene.bounds import Bounds
 from recon3d.scene.enclosing import enclosing_box, looked_at, silhouettes_explained
 from recon3d.scene.image_file import ImageFile, read_image
+from recon3d.scene.not_seen import FLIP, why_not_seen
 from recon3d.scene.scene import Scene
 from recon3d.scene.view import View
 
@@ -33,6 +34,12 @@ def bare(temple: BuiltInScene, tmp_path: Path) -> Path:
     """The temple as a Middlebury set without masks."""
     views = tuple(replace(view, mask=None) for view in temple.scene.views)
     return write_middlebury(replace(temple.scene, views=views), tmp_path / "set")
+
+
+def with_t(pose: NDArray[np.float64], t: NDArray[np.float64]) -> NDArray[np.float64]:
+    changed = pose.copy()
+    changed[:3, 3] = t
+    return changed
 
 
 def same_masks(read: Scene, expected: Scene) -> bool:
@@ -238,7 +245,7 @@ def test_a_view_is_made_of_a_projection_matrix(temple: BuiltInScene) -> None:
 
 def test_a_box_in_another_unit_and_cameras_inside_a_box_are_told(temple: BuiltInScene, bare: Path) -> None:
     large = Bounds(*(1000 * np.array(corner) for corner in (temple.scene.bounds.low, temple.scene.bounds.high)))
-    with pytest.raises(SceneError, match=r"Multiplied by 0\.001 they are seen: are they in another unit"):
+    with pytest.raises(SceneError, match=r"Multiplied by 0\.001 they are seen: the bounds, or the cameras, are in"):
         open_scene(bare, bounds=large)
     with pytest.raises(SceneError, match="8 of 8 cameras stand inside the bounding box"):
         open_scene(bare, bounds=Bounds([-1, -1, -1], [1, 1, 1]))
@@ -294,6 +301,34 @@ def test_where_the_background_has_many_colors_and_the_box_was_found_there_are_no
     read = open_scene(bare)
     assert not any(view.has_silhouette for view in read.views)
     assert read.notes["no silhouettes"] == "the background has many colors"
+
+
+def test_a_box_is_found_around_what_stands_out_from_a_dark_background(temple: BuiltInScene, bare: Path) -> None:
+    (bare / "README.txt").unlink()
+    read = open_scene(bare)
+    assert "found from the silhouettes of 8 views" in read.notes["bounds"]
+    assert all(view.has_silhouette for view in read.views)
+    true = temple.scene.bounds
+    assert (np.array(read.bounds.low) < np.array(true.low) + 0.02 * true.longest).all()
+    assert (np.array(read.bounds.high) > np.array(true.high) - 0.02 * true.longest).all()
+    assert read.bounds.longest < 1.5 * true.longest
+
+
+@pytest.mark.parametrize(
+    ("told", "change"),
+    [
+        ("look like camera-to-world: give their inverses", np.linalg.inv),
+        ("axes look like OpenGL's", lambda pose: FLIP @ pose),
+        ("camera-to-world with OpenGL's axes", lambda pose: np.linalg.inv(FLIP @ pose)),
+        ("t looks like the camera's centre", lambda pose: with_t(pose, -pose[:3, :3].T @ pose[:3, 3])),
+    ],
+)
+def test_the_mistake_that_hides_the_box_is_named(
+    temple: BuiltInScene, told: str, change: Callable[[NDArray[np.float64]], NDArray[np.float64]]
+) -> None:
+    """No matches are needed: the box is in the middle of the images where the mistake is undone."""
+    views = [View.from_matrices(v.K, change(v.cam_from_world), v.photograph, name=v.name) for v in temple.scene.views]
+    assert told in str(why_not_seen(views, temple.scene.bounds))
 
 
 def test_inverted_masks_are_recognised_and_said(temple: BuiltInScene, bare: Path, tmp_path: Path) -> None:

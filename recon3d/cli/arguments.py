@@ -8,7 +8,7 @@ import math
 import sys
 import tempfile
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import fields, replace
 from pathlib import Path
@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from recon3d.errors import ArgumentError, DataError
+from recon3d.errors import ArgumentError, DataError, SceneWarning
 
 if TYPE_CHECKING:  # Open3D takes seconds to import, --help should not
     import open3d as o3d
@@ -25,6 +25,7 @@ if TYPE_CHECKING:  # Open3D takes seconds to import, --help should not
     from recon3d.carving import Method
     from recon3d.consistency.base import ConsistencyTest
     from recon3d.datasets.synthetic import BuiltInScene
+    from recon3d.diagnosis import Finding
     from recon3d.pipeline import Progress
     from recon3d.result import Reconstruction
     from recon3d.scene.scene import Scene
@@ -115,14 +116,42 @@ def with_adjusted_cameras(scene: Scene, folder: Path) -> Scene:
     return replace(scene, views=refined.views)
 
 
-def warn_of_findings(scene: Scene) -> None:
-    """Warn of what a quick check of a scene finds, before it is reconstructed."""
+@contextmanager
+def doubts() -> Iterator[list[SceneWarning]]:
+    """Keeps what the opening of a scene warns of, for ``warn_of_doubts``; other warnings are told when it has ended."""
+    kept: list[SceneWarning] = []
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", UserWarning)
+        try:
+            yield kept
+            kept += [each.message for each in caught if isinstance(each.message, SceneWarning)]
+        finally:
+            told = [each.message for each in caught if each.message not in kept]
+    for message in told:
+        warnings.warn(message, stacklevel=3)
+
+
+def warn_of_doubts(doubted: Iterable[SceneWarning], findings: Sequence[Finding]) -> None:
+    """Warn of what the opening of a scene left in doubt, but for what findings tell."""
+    for doubt in doubted:
+        if not any(finding.covers(doubt.about) for finding in findings):
+            warnings.warn(doubt, stacklevel=2)
+
+
+def warn_of_findings(scene: Scene, doubted: Iterable[SceneWarning]) -> None:
+    """Warn of what a quick check of a scene finds, before it is reconstructed, each thing once.
+
+    Parameters
+    ----------
+    doubted : what was left in doubt when the scene was opened.
+    """
     from recon3d.diagnosis import check_scene
 
     with progress() as report:
         report("checking", 0, 1)
         findings = check_scene(scene)
         report("checking", 1, 1)
+    warn_of_doubts(doubted, findings)
     for finding in findings:
         warnings.warn(f"{scene.name}: {finding}", stacklevel=2)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,17 +16,25 @@ from recon3d.diagnosis.finding import Finding
 from recon3d.diagnosis.masks import mask_findings
 from recon3d.diagnosis.matches import Matches, Picture
 from recon3d.diagnosis.photographs import photograph_findings, sharpness
+from recon3d.errors import SceneError
+from recon3d.scene.bounds import Bounds
+from recon3d.scene.enclosing import looked_at
 from recon3d.scene.neighbours import viewing_angles
 from recon3d.scene.scene import Scene
+from recon3d.scene.view import View
 
 _FILM_DIAGONAL = 43.27  # mm, of a 35-mm camera's frame
 
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What the checks of a scene have found, and what they have looked at."""
+    """What the checks of a scene, or of cameras alone, have found, and what they have looked at."""
 
-    scene: Scene
+    name: str
+    """Of the scene."""
+    views: tuple[View, ...]
+    bounds: Bounds | None
+    """None: of cameras alone."""
     findings: tuple[Finding, ...]
     """Empty: nothing wrong was found."""
     pictures: tuple[Picture, ...]
@@ -38,26 +46,44 @@ class Diagnosis:
     def seen(self) -> str:
         """Text of what the findings rest on."""
         n = len(self.pictures)
-        return f"{n} of {len(self.scene.views)} views looked at, {len(self.matches.pairs)} pairs of them matched"
+        return f"{n} of {len(self.views)} views looked at, {len(self.matches.pairs)} pairs of them matched"
+
+    @property
+    def centers(self) -> NDArray[np.float64]:
+        """(n_views, 3) camera centres, world."""
+        return np.array([view.center for view in self.views])
+
+    @property
+    def middle(self) -> NDArray[np.float64]:
+        """(3,) the bounds' centre, world, or else that of matched points, or where the cameras look; NaN: nowhere."""
+        if self.bounds is not None:
+            return self.bounds.center
+        if len(self.points):
+            return np.asarray(np.median(self.points, axis=0))
+        try:
+            return looked_at(self.views)
+        except SceneError:
+            return np.full(3, np.nan)
 
     def table(self) -> list[str]:
         """Lines of a table of the views, below their heading."""
-        scene, center = self.scene, self.scene.bounds.center
-        angles = viewing_angles(scene) + np.diag(np.full(len(scene.views), np.inf))
+        angles = viewing_angles(self.centers, self.middle)
+        np.fill_diagonal(angles, np.nan)
         sharp = {
             picture.view.name: value for picture, value in zip(self.pictures, sharpness(self.pictures), strict=True)
         }
         masks = {picture.view.name: picture.mask for picture in self.pictures if picture.mask is not None}
-        width = max(24, *(len(view.name) for view in scene.views))
+        width = max(24, *(len(view.name) for view in self.views))
         lines = [f"{'view':{width}} {'size':>10} {'35 mm':>6} {'distance':>9} {'nearest':>8} {'mask':>5} {'sharp':>5}"]
-        for view, row in zip(scene.views, angles, strict=True):
+        for view, row in zip(self.views, angles, strict=True):
             focal = np.sqrt(view.K[0, 0] * view.K[1, 1]) / np.hypot(view.width, view.height) * _FILM_DIAGONAL
             share = f"{masks[view.name].mean():.0%}" if view.name in masks else "-"
-            nearest = f"{row.min():.1f} deg" if np.isfinite(row.min()) else "-"
+            nearest = f"{np.nanmin(row):.1f} deg" if np.isfinite(row).any() else "-"
+            distance = float(np.linalg.norm(view.center - self.middle))
             relative = f"{sharp[view.name]:.2f}" if view.name in sharp else "-"
             lines.append(
                 f"{view.name:{width}} {f'{view.width}x{view.height}':>10} {f'{focal:.0f} mm':>6} "
-                f"{np.linalg.norm(view.center - center):9.4g} {nearest:>8} {share:>5} {relative:>5}"
+                f"{f'{distance:.4g}' if np.isfinite(distance) else '-':>9} {nearest:>8} {share:>5} {relative:>5}"
             )
         return lines
 
@@ -82,15 +108,37 @@ def check_scene(scene: Scene, *, max_views: int = 24) -> tuple[Finding, ...]:
 
 def diagnose(scene: Scene, *, max_views: int = 60) -> Diagnosis:
     """``check_scene`` with what it rests on, for tables and figures."""
-    require_whole("max_views", max_views)
-    chosen = np.unique(np.linspace(0, len(scene.views) - 1, min(max_views, len(scene.views))).round().astype(int))
-    pictures = tuple(Picture.of(scene.views[n]) for n in chosen)
-    matches = Matches.between(pictures)
-    points = _points(pictures, matches)
+    looked_at = diagnose_cameras(scene.views, name=scene.name, max_views=max_views)
+    pictures, points = looked_at.pictures, looked_at.points
+    cameras, photographs = (
+        [finding for finding in looked_at.findings if (finding.about == "cameras") == of_cameras]
+        for of_cameras in (True, False)
+    )
     # Bounds and masks are compared by the cameras, which must be right for that.
-    found = camera_findings(pictures, matches) or box_findings(scene, points)
-    found += mask_findings(scene, pictures, agree=not found)
-    return Diagnosis(scene, (*found, *photograph_findings(pictures, matches)), pictures, matches, points)
+    bounds = [] if cameras else _about("bounds", box_findings(scene, points))
+    masks = _about("masks", mask_findings(scene, pictures, looked_at.matches, agree=not cameras and not bounds))
+    return replace(looked_at, bounds=scene.bounds, findings=(*cameras, *bounds, *masks, *photographs))
+
+
+def diagnose_cameras(views: Sequence[View], *, name: str = "scene", max_views: int = 60) -> Diagnosis:
+    """What matches between photographs say of their cameras and of themselves, where no bounds are known to be right.
+
+    Parameters
+    ----------
+    name : of the scene, for figures.
+    max_views : evenly chosen ones of more are looked at.
+    """
+    require_whole("max_views", max_views)
+    chosen = np.unique(np.linspace(0, len(views) - 1, min(max_views, len(views))).round().astype(int))
+    pictures = tuple(Picture.of(views[n]) for n in chosen)
+    matches = Matches.between(pictures)
+    found = _about("cameras", camera_findings(pictures, matches))
+    findings = (*found, *photograph_findings(pictures, matches))
+    return Diagnosis(name, tuple(views), None, findings, pictures, matches, _points(pictures, matches))
+
+
+def _about(what: str, findings: Sequence[Finding]) -> list[Finding]:
+    return [replace(finding, about=what) for finding in findings]
 
 
 def _points(pictures: Sequence[Picture], matches: Matches) -> NDArray[np.float64]:

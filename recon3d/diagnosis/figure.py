@@ -23,18 +23,18 @@ def plot_scene(diagnosis: Diagnosis) -> Figure:
     """Cameras as frusta, those that a finding names in red, the bounds, and matched points."""
     from matplotlib.figure import Figure
 
-    scene = diagnosis.scene
     figure = Figure(figsize=(8, 7), layout="constrained")
     axes = figure.add_subplot(projection="3d")
     blamed = {name for finding in diagnosis.findings for name in finding.views}
-    distances = np.linalg.norm(scene.centers - scene.bounds.center, axis=1)
+    middle = diagnosis.middle
+    middle = middle if np.isfinite(middle).all() else diagnosis.centers.mean(axis=0)
+    distances = np.linalg.norm(diagnosis.centers - middle, axis=1)
     depth = _FRUSTUM * max(float(np.median(distances)), 1e-12)
-    for view in scene.views:
+    for view in diagnosis.views:
         color = "tab:red" if view.name in blamed else "tab:blue"
         _draw_frustum(axes, view, depth, color)
         axes.text(*view.center, Path(view.name).stem, fontsize=6, color=color)
-    corners = scene.bounds.corners
-    for a, b in combinations(corners, 2):
+    for a, b in combinations([] if diagnosis.bounds is None else diagnosis.bounds.corners, 2):
         if np.count_nonzero(a != b) == 1:
             axes.plot(*np.stack([a, b]).T, color="tab:orange", linewidth=1)
     points = diagnosis.points
@@ -42,7 +42,8 @@ def plot_scene(diagnosis: Diagnosis) -> Figure:
         middle, reach = np.median(points, axis=0), float(distances.max())
         near = points[np.linalg.norm(points - middle, axis=1) < reach]
         axes.scatter(*near[:: 1 + len(near) // _POINTS].T, s=1, color="0.3")
-    axes.set(xlabel="x", ylabel="y", zlabel="z", title=f"{scene.name}: {len(scene.views)} cameras, bounds in orange")
+    told = "" if diagnosis.bounds is None else ", bounds in orange"
+    axes.set(xlabel="x", ylabel="y", zlabel="z", title=f"{diagnosis.name}: {len(diagnosis.views)} cameras{told}")
     axes.set_aspect("equal")
     return figure
 

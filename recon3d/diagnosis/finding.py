@@ -17,6 +17,12 @@ class Finding:
     """What to do about it."""
     views: tuple[str, ...] = ()
     """Names of the views that it is about; empty: all."""
+    about: str = "photographs"
+    """What is wrong: "cameras", "bounds", "masks" or "photographs"."""
+
+    def covers(self, about: str) -> bool:
+        """Whether it tells what a doubt about bounds, masks or cameras comes from, too."""
+        return self.about in (about, "cameras")
 
     def __str__(self) -> str:
         return f"{self.message} {self.advice}"

@@ -10,9 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recon3d.diagnosis.epipolar import Cameras
-
-FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
-"""Between OpenGL's camera axes (y up, z backward) and OpenCV's (y down, z forward)."""
+from recon3d.scene.not_seen import FLIP
 
 _SCALES = (2.0, 3.0, 4.0, 8.0, 0.5, 1 / 3, 0.25, 0.125)
 _FOCAL_SCALES = tuple(float(2 ** (k / 4)) for k in range(-8, 9) if k)

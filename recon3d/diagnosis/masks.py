@@ -7,22 +7,31 @@ from collections.abc import Sequence
 import numpy as np
 
 from recon3d.diagnosis.finding import Finding
-from recon3d.diagnosis.matches import Picture
+from recon3d.diagnosis.matches import Matches, Picture
 from recon3d.scene.enclosing import silhouettes_explained
-from recon3d.scene.scene import Scene
+from recon3d.scene.scene import NO_SILHOUETTES, Scene
 
 _FEWEST = 4  # views with masks
 _EXPLAINED = 0.97  # of the silhouettes, on average
 _NAMED = 4
 
 
-def mask_findings(scene: Scene, pictures: Sequence[Picture], *, agree: bool) -> list[Finding]:
-    """What is wrong with masks that are given.
+def mask_findings(scene: Scene, pictures: Sequence[Picture], matches: Matches, *, agree: bool) -> list[Finding]:
+    """What is wrong with masks that are given, or with there being none.
 
     Parameters
     ----------
     agree : compare the masks with each other, too, by the cameras.
     """
+    if NO_SILHOUETTES in scene.notes and not len(matches.pairs):
+        return [
+            Finding(
+                "neither masks nor matches",
+                f"Nothing tells the object from the background: there are no masks, {scene.notes[NO_SILHOUETTES]}, and "
+                "no photographs could be matched with each other.",
+                "Give masks (--silhouettes FOLDER), or sharper and brighter photographs with smaller steps between.",
+            )
+        ]
     inverted = [picture.view.name for picture in pictures if picture.inverted]
     masked = [picture for picture in pictures if picture.mask is not None]
     if inverted:

@@ -3,16 +3,27 @@
 from __future__ import annotations
 
 import warnings
+from dataclasses import replace
 
 import numpy as np
 
 from recon3d.errors import SceneError
+from recon3d.scene.enclosing import enclosing_box
 from recon3d.scene.scene import Scene
-from recon3d.scene.silhouettes import BLACK, background_color, bounds_mask, foreground, has_plain_frame
+from recon3d.scene.silhouettes import (
+    BLACK,
+    background_color,
+    bounds_mask,
+    foreground,
+    has_plain_frame,
+    with_segmented_silhouettes,
+)
 from recon3d.scene.view import View
 
 _CHECKED = 8e6  # pixels that are looked at to check a box
 _FEWEST = 3  # views that are looked at, however large
+_LONG_SIDE = 400  # pixels, of reduced photographs that an object is cut out of to find its box
+_MOST = 60  # of them
 _LIT = 0.1  # of the pixels outside the box, that may be bright on a dark background
 
 
@@ -64,3 +75,22 @@ def check_foreground(scene: Scene, *, must_fit: bool, dark: bool = False, otherw
         raise SceneError(message)
     warnings.warn(message + otherwise, stacklevel=3)
     return False
+
+
+def with_box_of_foreground(scene: Scene) -> Scene:
+    """The scene with a box around what stands out from a background of one color, in small copies of the photographs.
+
+    For boxes that are no more than what all cameras see. Where nothing stands out, the box stays.
+    """
+    n = len(scene.views)
+    views = []
+    for k in np.unique(np.linspace(0, n - 1, min(n, _MOST)).round().astype(int)):
+        view = scene.views[k]
+        scale = min(1.0, _LONG_SIDE / max(view.width, view.height))
+        views.append(View(view.calibration.at(scale), view.image_at(scale), None, view.name))
+    cut_out = with_segmented_silhouettes(replace(scene, views=tuple(views)))
+    box, how = enclosing_box(cut_out.views)
+    if "silhouettes" not in how:
+        return scene
+    corners = ",".join(f"{x:.6g}" for x in (*box.low, *box.high))
+    return replace(scene, bounds=box, notes={**scene.notes, "bounds": f"{corners}, {how}"})

@@ -8,11 +8,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from recon3d.errors import SceneError
+from recon3d.errors import SceneError, SceneWarning
 from recon3d.io.calibrated import Calibrated
 from recon3d.scene.bounds import Bounds
 from recon3d.scene.enclosing import silhouettes_explained
 from recon3d.scene.image_file import ImageFile
+from recon3d.scene.not_seen import why_not_seen
 from recon3d.scene.photograph import Photograph
 from recon3d.scene.scene import Scene
 from recon3d.scene.view import View
@@ -78,12 +79,12 @@ def warn_of_silhouettes(scene: Scene) -> None:
     chosen = [masked[k] for k in np.linspace(0, len(masked) - 1, n).round().astype(int)]
     share = float(silhouettes_explained(chosen, scene.bounds).mean())
     if share < _EXPLAINED:
-        warnings.warn(
+        message = (
             f"{scene.name}: the silhouettes contradict each other: what lies in all of them fills only "
             f"{100 * share:.0f}% of the average one. Are cameras and photographs in the same order, "
-            "the masks those of these views, the calibration exact?",
-            stacklevel=4,
+            "the masks those of these views, the calibration exact?"
         )
+        warnings.warn(SceneWarning(message, "masks"), stacklevel=4)
 
 
 def check_box(scene: Scene) -> None:
@@ -95,13 +96,13 @@ def check_box(scene: Scene) -> None:
         "give bounds around the object alone, not the room"
     )
     if wrong := not_in_images(scene.views, box):
-        question = told_of_another_size(scene.views) or "Every set has its own world frame: is this another set's box?"
-        question = told if inside else question
-        raise SceneError(f"{scene.name}: {wrong}. {question}")
+        question = told_of_another_size(scene.views) or why_not_seen(scene.views, box)
+        question = told if inside else question or "Every set has its own world frame: is this another set's box?"
+        raise SceneError(f"{scene.name}: {wrong}. {question[0].upper()}{question[1:]}")
     if inside:
-        warnings.warn(f"{scene.name}: {told}", stacklevel=3)
+        warnings.warn(SceneWarning(f"{scene.name}: {told}", "bounds"), stacklevel=3)
     if scaled := told_of_another_size(scene.views):
-        warnings.warn(f"{scene.name}: {scaled}", stacklevel=3)
+        warnings.warn(SceneWarning(f"{scene.name}: {scaled}", "cameras"), stacklevel=3)
 
 
 def not_in_images(views: tuple[View, ...], box: Bounds) -> str | None:

@@ -13,7 +13,7 @@ import open3d as o3d
 
 from recon3d.errors import ArgumentError, DataError
 from recon3d.io.alicevision import is_alicevision, read_alicevision
-from recon3d.io.backdrop import before_backdrop, check_foreground
+from recon3d.io.backdrop import before_backdrop, check_foreground, with_box_of_foreground
 from recon3d.io.bouguet import is_bouguet, read_bouguet
 from recon3d.io.bundler import is_bundler, read_bundler
 from recon3d.io.calibrated import Calibrated
@@ -34,12 +34,12 @@ from recon3d.io.strecha import is_strecha, read_strecha
 from recon3d.io.transforms import is_transforms, read_transforms
 from recon3d.io.unknown import told_unknown
 from recon3d.scene.bounds import Bounds
-from recon3d.scene.enclosing import enclosing_box
+from recon3d.scene.enclosing import FROM_CAMERAS, enclosing_box
 from recon3d.scene.image_file import ImageFile
 from recon3d.scene.mask import FileMask, Mask
 from recon3d.scene.mask_files import fitting_masks, mask_folders, masks_of_views
 from recon3d.scene.names import stems_of
-from recon3d.scene.scene import Scene
+from recon3d.scene.scene import NO_SILHOUETTES, Scene
 from recon3d.scene.silhouettes import (
     with_mask_files,
     with_segmented_silhouettes,
@@ -115,15 +115,9 @@ def open_scene(
     SceneError : the box does not fit the cameras or cuts the object off.
     """
     path = Path(path)
-    if not path.exists():
-        raise DataError(f"{path}: no such file or folder")
-    known = format_of(path)
-    if known is None:
-        raise DataError(told_unknown(path, [known.sign for known in FORMATS.values()]))
-    found = _right_handed(_read(known, path, None if images is None else Path(images)), path)
-    found = with_one_white(found)
+    found = read_calibrated(path, images)
     named = str(silhouettes) not in (*_MADE, "none")
-    views = tuple(View(image.camera, image.photograph, None, image.name) for image in found.images)
+    views = views_of(found)
     masks, told_masks = _own_masks(found, views, path) if silhouettes == "auto" else ({}, {})
     views = tuple(replace(view, mask=masks.get(view.name)) for view in views)
     readme, told_unit = _told_in_readme(found, views, path)
@@ -153,12 +147,40 @@ def open_scene(
     if silhouettes == "none":
         return scene
     if silhouettes == "auto" and not before_backdrop(scene):
-        return replace(scene, notes={**scene.notes, "no silhouettes": "the background has many colors"})
+        return replace(scene, notes={**scene.notes, NO_SILHOUETTES: "the background has many colors"})
     if silhouettes == "auto" and told_box:  # neither the box nor the background is sure
-        plain = check_foreground(scene, must_fit=False, otherwise="; no silhouettes are made")
-        return with_segmented_silhouettes(scene, only=found.masked) if plain else scene
+        if not check_foreground(scene, must_fit=False, otherwise="; no silhouettes are made"):
+            return scene
+        enclosed = with_box_of_foreground(scene) if FROM_CAMERAS in told_box["bounds"] else scene
+        return with_segmented_silhouettes(enclosed, only=found.masked)
     check_foreground(scene, must_fit=bounds is None and not told_box, dark=silhouettes == "threshold")
     return _MADE[str(silhouettes)](scene, only=found.masked)
+
+
+def read_calibrated(path: Path | str, images: Path | str | None = None) -> Calibrated:
+    """Cameras, photographs and what else the files of a scene say, whether or not they fit together.
+
+    Parameters
+    ----------
+    images : folder of the photographs, where they do not lie with the cameras.
+
+    Raises
+    ------
+    ArgumentError : the format names its photographs itself, and `images` are given.
+    DataError : nothing there, of no known format, or a file is missing or malformed; names file and line.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise DataError(f"{path}: no such file or folder")
+    known = format_of(path)
+    if known is None:
+        raise DataError(told_unknown(path, [known.sign for known in FORMATS.values()]))
+    return with_one_white(_right_handed(_read(known, path, None if images is None else Path(images)), path))
+
+
+def views_of(found: Calibrated) -> tuple[View, ...]:
+    """Views of what the files of a scene say, without masks."""
+    return tuple(View(image.camera, image.photograph, None, image.name) for image in found.images)
 
 
 def format_of(path: Path) -> Format | None:

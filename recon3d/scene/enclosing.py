@@ -16,6 +16,9 @@ from recon3d.scene.view import View
 PADDING = 0.03
 """Fraction of the longest side added around a box that was found."""
 
+FROM_CAMERAS = "found from what most cameras see"
+"""What a box was found from that holds the object and much else."""
+
 _N = 48  # cells along a side of the cube that is searched
 _VIEWS = 60  # that are looked at, of many
 _WHOLE = 0.5  # scale of a silhouette from which on cells are so small that their middles are looked at alone
@@ -56,7 +59,7 @@ def enclosing_box(views: Sequence[View], points: NDArray[np.float64] | None = No
     seen = _extent(cube, lambda box: _seen_by_most(chosen, box), rounds=2)
     if seen is None:
         raise SceneError("no place is in most of the photographs; give bounds")
-    return seen, "found from what most cameras see"
+    return seen, FROM_CAMERAS
 
 
 def looked_at(views: Sequence[View]) -> NDArray[np.float64]:

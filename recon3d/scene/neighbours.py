@@ -23,7 +23,7 @@ def matching_neighbours(scene: Scene, most: int = 4) -> list[list[int]]:
     ------
     SceneError : no view has such a neighbour.
     """
-    angles = viewing_angles(scene)
+    angles = viewing_angles(scene.centers, scene.bounds.center)
     chosen: list[list[int]] = []
     for row in angles:
         left = np.argsort(row, kind="stable")
@@ -44,7 +44,7 @@ def overlapping_neighbours(scene: Scene, most: int = 32) -> NDArray[np.int64]:
     Those whose directions from the bounds' centre lie at most 90 degrees apart; where these are more than so many, an
     even selection from the nearest to the farthest.
     """
-    angles = viewing_angles(scene)
+    angles = viewing_angles(scene.centers, scene.bounds.center)
     np.fill_diagonal(angles, np.nan)
     chosen = []
     for row in angles:
@@ -59,12 +59,17 @@ def overlapping_neighbours(scene: Scene, most: int = 32) -> NDArray[np.int64]:
     return table
 
 
-def viewing_angles(scene: Scene) -> NDArray[np.float64]:
-    """(n_views, n_views) degrees between the directions in which views are seen from the bounds' centre.
+def viewing_angles(centers: NDArray[np.float64], middle: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(n_views, n_views) degrees between the directions in which cameras are seen from a place.
 
     NaN for a camera there, which is seen in no direction.
+
+    Parameters
+    ----------
+    centers : (n_views, 3) camera centres, world.
+    middle : (3,) the place, as the bounds' centre, world.
     """
-    directions = scene.centers - scene.bounds.center
+    directions = centers - middle
     with np.errstate(invalid="ignore"):
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     return np.degrees(np.arccos(np.clip(directions @ directions.T, -1, 1)))

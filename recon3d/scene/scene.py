@@ -15,13 +15,18 @@ from numpy.typing import ArrayLike, NDArray
 from recon3d.errors import ArgumentError, SceneError
 from recon3d.scene.bounds import Bounds
 from recon3d.scene.enclosing import enclosing_box
+from recon3d.scene.not_seen import why_not_seen
 from recon3d.scene.packed import PackedViews
 from recon3d.scene.photograph import Photograph
 from recon3d.scene.view import View
 from recon3d.summary import Summarised, thumbnails
 from recon3d.values import ByContent, Once
 
+NO_SILHOUETTES = "no silhouettes"
+"""Note of why none were made where none are known."""
+
 _PICTURED = 48  # photographs at most
+_QUESTION = "Is this another data set's box, or are the matrices camera-to-world?"
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -56,11 +61,10 @@ class Scene(ByContent, Summarised):
             raise SceneError(f"scene {self.name}: expected bounds with three positive sides, got {self.bounds.extent}")
         probes = np.vstack([self.bounds.corners, self.bounds.center])
         if not any(view.sees(probes).any() for view in self.views):
-            scales = [f for f in (0.001, 1000, 0.01, 100) if any(view.sees(f * probes).all() for view in self.views)]
-            unit = f" Multiplied by {scales[0]:g} they are seen: are they in another unit?" if scales else ""
+            low, high = (",".join(f"{x:.6g}" for x in corner) for corner in (self.bounds.low, self.bounds.high))
             raise SceneError(
-                f"scene {self.name}: no camera sees the bounds {self.bounds.low} to {self.bounds.high}.{unit} "
-                "Is this another data set's box, or are the matrices camera-to-world?"
+                f"scene {self.name}: no camera sees the bounds {low} to {high}. "
+                f"{why_not_seen(self.views, self.bounds) or _QUESTION}"
             )
 
     @classmethod

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from recon3d.cli import options
-from recon3d.cli.arguments import load, say
+from recon3d.cli.arguments import doubts, load, say, warn_of_doubts
+from recon3d.errors import Recon3dError
+
+if TYPE_CHECKING:
+    from recon3d.diagnosis import Diagnosis
+    from recon3d.scene.scene import Scene
 
 
 def command(
@@ -25,38 +30,96 @@ def command(
     bounds: options.Bounds = None,
     silhouettes: options.Silhouettes = "auto",
     images: options.Images = None,
+    mm_per_unit: options.MmPerUnit = None,
 ) -> None:
-    """Check a scene: what it holds, what is wrong with it, its views in a table; --output and --figure draw it."""
-    from recon3d.carving.visibility import largest_admissible_views
-    from recon3d.diagnosis import diagnose
-    from recon3d.io.files import write_image
-    from recon3d.io.middlebury import read_angles
-    from recon3d.scene.silhouettes import overlay
-    from recon3d.summary import thumbnails
+    """Check a scene: what it holds, what is wrong with it, its views in a table; --output and --figure draw it.
 
-    loaded = load(scene, bounds, silhouettes, images=images)
-    admissible = largest_admissible_views(loaded)
-    angles = read_angles(scene) if Path(scene).is_dir() else {}
+    Of a scene that cannot be used, what could be read is told, and why not.
+    """
+    from recon3d.diagnosis import diagnose
+
+    with doubts() as doubted:
+        try:
+            loaded = load(scene, bounds, silhouettes, mm_per_unit, images)
+        except Recon3dError:
+            _tell_of_refused(scene, images, figure)
+            raise
     diagnosis = diagnose(loaded)
     say(loaded.summary())
-    say({"views for voxel colouring": f"{len(admissible)} of {len(loaded.views)} (ordinal visibility constraint)"})
-    typer.echo()
-    heading, *rows = diagnosis.table()
-    typer.echo("  " + heading)
-    for view, row in zip(loaded.views, rows, strict=True):
+    _tell_of_views(loaded, diagnosis, Path(scene))
+    warn_of_doubts(doubted, diagnosis.findings)
+    _tell_of_findings(diagnosis, figure, wrong=bool(doubted))
+    if output:
+        _draw_silhouettes(loaded, output)
+
+
+def _tell_of_views(scene: Scene, diagnosis: Diagnosis, path: Path) -> None:
+    """Print the table of the views, with what can be done with them."""
+    from recon3d.carving.visibility import largest_admissible_views
+    from recon3d.io.middlebury import read_angles
+
+    admissible = largest_admissible_views(scene)
+    angles = read_angles(path) if path.is_dir() else {}
+    say({"views for voxel colouring": f"{len(admissible)} of {len(scene.views)} (ordinal visibility constraint)"})
+    rows = []
+    for view in scene.views:
         angle = "lat {:.1f} lon {:.1f}".format(*angles[view.name]) if view.name in angles else ""
         use = "used" if view.name in admissible else "-"
-        known = "silhouette" if view.has_silhouette else "no silhouette"
-        typer.echo(f"  {row}  {use:6} {known:14} {angle}".rstrip())
+        rows.append(f"{use:6} {'silhouette' if view.has_silhouette else 'no silhouette':14} {angle}")
+    _print_table(diagnosis, rows)
+
+
+def _tell_of_refused(scene: str, images: Path | None, figure: Path | None) -> None:
+    """Print what the files of a scene say that cannot be used; nothing where not even they can be read."""
+    from recon3d.diagnosis import diagnose_cameras
+    from recon3d.io.opening import read_calibrated, views_of
+
+    try:
+        found = read_calibrated(scene, images)
+        views = views_of(found)
+        diagnosis = diagnose_cameras(views, name=found.name)
+    except (Recon3dError, ValueError):
+        return
+    sizes = sorted({f"{view.width}x{view.height}" for view in views})
+    say({"name": found.name, "views": len(views), "image size": ", ".join(sizes), **found.notes})
+    if found.bounds is not None:
+        say({"bounds": ",".join(f"{x:.6g}" for x in (*found.bounds.low, *found.bounds.high))})
+    _print_table(diagnosis, [""] * len(views))
+    _tell_of_findings(diagnosis, figure, wrong=True)
+
+
+def _print_table(diagnosis: Diagnosis, ends: list[str]) -> None:
+    heading, *rows = diagnosis.table()
     typer.echo()
+    typer.echo("  " + heading)
+    for row, end in zip(rows, ends, strict=True):
+        typer.echo(f"  {row}  {end}".rstrip())
+    typer.echo()
+
+
+def _tell_of_findings(diagnosis: Diagnosis, figure: Path | None, *, wrong: bool) -> None:
+    """Print what the checks have found, and draw it.
+
+    Parameters
+    ----------
+    wrong : whether something else is known to be wrong, or may be.
+    """
     for finding in diagnosis.findings:
         typer.echo(f"  Check: {finding}")
     if not diagnosis.findings:
-        typer.echo(f"  Check: nothing wrong was found ({diagnosis.seen()})")
+        more = " else" if wrong else ""
+        typer.echo(f"  Check: nothing{more} wrong was found ({diagnosis.seen()})")
     if figure:
         from recon3d.diagnosis.figure import save_figure
 
         say({"cameras and bounds": save_figure(diagnosis, figure)})
-    if output:
-        sheet = thumbnails((overlay(loaded, view) for view in loaded.views), width=320, columns=4)
-        say({"silhouettes and bounds": write_image(output / "views.png", sheet)})
+
+
+def _draw_silhouettes(scene: Scene, output: Path) -> None:
+    """Write a sheet of all views with silhouettes and bounds drawn in."""
+    from recon3d.io.files import write_image
+    from recon3d.scene.silhouettes import overlay
+    from recon3d.summary import thumbnails
+
+    sheet = thumbnails((overlay(scene, view) for view in scene.views), width=320, columns=4)
+    say({"silhouettes and bounds": write_image(output / "views.png", sheet)})

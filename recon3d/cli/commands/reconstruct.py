@@ -12,6 +12,7 @@ import typer
 from recon3d.cli import options
 from recon3d.cli.arguments import (
     calibrated,
+    doubts,
     load,
     make_method,
     plain_photographs,
@@ -168,19 +169,21 @@ def command(
         folder = writable(output or Path("recon3d-output") / Path(scene).resolve().name)
         found = calibrated(photographs, folder / "scene", board, turntable, None, known_distance)
         say(found.summary())
-        loaded = load(str(folder / "scene"), bounds, silhouettes, mm_per_unit)
+        with doubts() as doubted:
+            loaded = load(str(folder / "scene"), bounds, silhouettes, mm_per_unit)
     elif any(option is not None for option in (board, turntable, known_distance)):
         raise ArgumentError(
             f"{scene} has its own cameras; --board, --turntable and --known-distance are for photographs alone"
         )
     else:
-        loaded = load(scene, bounds, silhouettes, mm_per_unit, images)
+        with doubts() as doubted:
+            loaded = load(scene, bounds, silhouettes, mm_per_unit, images)
         folder = writable(output or Path("recon3d-output") / loaded.name)
     if refine_cameras:
         loaded = with_adjusted_cameras(loaded, folder)
     else:
         (folder / REFINED_FILE).unlink(missing_ok=True)
-    warn_of_findings(loaded)
+    warn_of_findings(loaded, doubted)
     result = run(loaded, settings, truth, folder / "stages")
     written = save(result, folder, [name.value for name in mesh_format or [_MeshFormat.ply]], pictures=pictures)
     say(result.summary())
