@@ -19,7 +19,7 @@ from recon3d.carving.method import Method
 from recon3d.carving.observer import Observer
 from recon3d.consistency.spec import identity
 from recon3d.errors import EmptyReconstructionError
-from recon3d.evaluation.distances import evaluate
+from recon3d.evaluation.distances import measure
 from recon3d.evaluation.photographs import measure_quality
 from recon3d.rendering.ray_caster import RayCaster
 from recon3d.result import Reconstruction
@@ -166,13 +166,13 @@ def _supported(scene: Scene, seen: _Seen, min_area: float) -> _Seen:
 
 def _evaluated(result: Reconstruction, ground_truth: o3d.geometry.TriangleMesh) -> Reconstruction:
     """The result with the distances of its mesh, and of the part that was measured, to a ground truth."""
-    whole = evaluate(result.mesh, ground_truth, mm_per_unit=result.scene.known_scale())
-    supported = result.supported_mesh()
-    if not supported.has_triangles():
+    mm_per_unit = result.scene.known_scale()
+    distances = measure(result.mesh, ground_truth)
+    whole = distances.evaluation(mm_per_unit)
+    supported = (result.support > 0)[np.asarray(result.mesh.triangles)].all(axis=1)
+    if not supported[distances.owners].any():
         return replace(result, evaluation=whole)
-    if len(supported.triangles) == len(result.mesh.triangles):
-        return replace(result, evaluation=whole, supported_evaluation=whole)
-    part = evaluate(supported, ground_truth, mm_per_unit=result.scene.known_scale())
+    part = distances.of_part(result.mesh, supported).evaluation(mm_per_unit)
     return replace(result, evaluation=whole, supported_evaluation=part)
 
 

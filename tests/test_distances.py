@@ -14,6 +14,7 @@ from recon3d.evaluation.distances import (
     Evaluation,
     distance_to_mesh,
     evaluate,
+    measure,
     sample_surface,
     triangles_near,
 )
@@ -50,6 +51,25 @@ def test_distances_are_to_triangles_however_far_apart_the_samples_lie() -> None:
     result = evaluate(cloud(points), truth, mm_per_unit=1.0, spacing=0.5)
     # A distance that is right to 1% has its rank's right to 1% too.
     np.testing.assert_allclose(result.accuracy_distances, exact, rtol=0.01)
+
+
+def test_a_part_of_a_mesh_is_measured_as_if_it_were_alone() -> None:
+    truth, ball, box = sphere(1.0), ball_mesh(1.01, 9), box_mesh(0.2, 0.5, 0.5).translate((1.2, 0, 0))
+    n_ball = len(ball.triangles)
+    whole = ball + box
+    part = np.arange(len(whole.triangles)) < n_ball
+    upper = np.asarray(whole.vertices)[np.asarray(whole.triangles)][..., 2].min(axis=1) >= 0
+    for chosen in (part, part & upper):
+        found = measure(whole, truth, spacing=0.05).of_part(whole, chosen)
+        alone = o3d.geometry.TriangleMesh(whole)
+        alone.remove_triangles_by_mask(~chosen)
+        np.testing.assert_allclose(found.to_r, exact_distances(found.samples_g, alone), rtol=0.01)
+        assert chosen[found.owners].all()
+        assert chosen[found.nearest].all()
+        assert len(found.to_g) == pytest.approx(alone.get_surface_area() / 0.05**2 / MEASURED_SHARE, rel=0.02)
+        assert found.evaluation(1.0).accuracy_mm == pytest.approx(
+            evaluate(alone, truth, mm_per_unit=1.0, spacing=0.05).accuracy_mm, rel=0.1
+        )
 
 
 @pytest.mark.parametrize("shift", [0.001, 0.02, 0.3])

@@ -159,6 +159,65 @@ def evaluate(
             f"expected a positive completeness threshold and mm_per_unit, got {completeness_threshold_mm} "
             f"and {mm_per_unit}"
         )
+    return measure(reconstruction, ground_truth, valid=valid, spacing=spacing, seed=seed).evaluation(
+        mm_per_unit, accuracy_percent, completeness_threshold_mm
+    )
+
+
+@dataclass(frozen=True)
+class Distances:
+    """Distances between a reconstruction R and a ground truth G, with what they lead to; world units."""
+
+    to_g: NDArray[np.float64]
+    """(n,) from samples of R to G."""
+    owners: NDArray[np.int64]
+    """(n,) triangle or element of R that each sample lies on."""
+    to_r: NDArray[np.float64]
+    """(m,) from samples of G to R."""
+    nearest: NDArray[np.int64]
+    """(m,) triangle or element of R that each is nearest to."""
+    samples_g: NDArray[np.float64]
+    """(m, 3)."""
+    left_out: int
+    """Samples of R that lie nearest to parts of G that are filler, and are none of the n."""
+
+    def evaluation(
+        self, mm_per_unit: float = 1000.0, accuracy_percent: float = 90.0, completeness_threshold_mm: float = 1.25
+    ) -> Evaluation:
+        """Both distributions, in millimetres."""
+        return Evaluation(
+            np.sort(self.to_g) * mm_per_unit,
+            np.sort(self.to_r) * mm_per_unit,
+            accuracy_percent,
+            completeness_threshold_mm,
+            self.left_out,
+        )
+
+    def of_part(self, mesh: o3d.geometry.TriangleMesh, part: NDArray[np.bool_]) -> Distances:
+        """Those of some triangles (n_triangles,) of the mesh R, on which a sample lies.
+
+        Only what is nearest to the other triangles is measured again.
+        """
+        ours, elsewhere = part[self.owners], ~part[self.nearest]
+        to_r, nearest = self.to_r.copy(), self.nearest.copy()
+        if elsewhere.any():
+            kept = np.flatnonzero(part)
+            triangles = o3d.utility.Vector3iVector(np.asarray(mesh.triangles)[kept])
+            alone = o3d.geometry.TriangleMesh(mesh.vertices, triangles)
+            squared, triangle = nearest_triangles(self.samples_g[elsewhere], alone)
+            to_r[elsewhere], nearest[elsewhere] = np.sqrt(squared), kept[triangle]
+        return Distances(self.to_g[ours], self.owners[ours], to_r, nearest, self.samples_g, 0)
+
+
+def measure(
+    reconstruction: Shape,
+    ground_truth: o3d.geometry.TriangleMesh | o3d.geometry.PointCloud,
+    *,
+    valid: NDArray[np.bool_] | None = None,
+    spacing: float | None = None,
+    seed: int = 0,
+) -> Distances:
+    """The distances behind ``evaluate``, from samples (n, 3) of each to the other; the parameters are the same."""
     if ground_truth.is_empty():
         raise ArgumentError(f"the {type(ground_truth).__name__} to evaluate against is empty")
     if spacing is None:
@@ -168,7 +227,7 @@ def evaluate(
         raise ArgumentError(f"expected a positive spacing of the samples, got {spacing}")
     rng = np.random.default_rng(seed)
     samples_g, owner_g = sample_surface(ground_truth, spacing, rng)
-    samples_r, _ = sample_surface(reconstruction, spacing, rng)
+    samples_r, owner_r = sample_surface(reconstruction, spacing, rng)
     # Stratified samples come in the order of the triangles, so that every fourth is as even as all.
     step_g, step_r = (
         MEASURED_SHARE if isinstance(shape, o3d.geometry.TriangleMesh) else 1
@@ -190,14 +249,9 @@ def evaluate(
     kept = valid[nearest] if valid is not None else np.ones(len(to_g), np.bool_)
     if not kept.any():
         raise ArgumentError("every sample of the reconstruction lies nearest to filler: are both in one frame?")
-    to_r, _ = _distances(samples_g[valid_g][::step_g], reconstruction, samples_r)
-    return Evaluation(
-        np.sort(to_g[kept]) * mm_per_unit,
-        np.sort(to_r) * mm_per_unit,
-        accuracy_percent,
-        completeness_threshold_mm,
-        int(np.count_nonzero(~kept)),
-    )
+    measured_g = samples_g[valid_g][::step_g]
+    to_r, nearest_r = _distances(measured_g, reconstruction, samples_r)
+    return Distances(to_g[kept], owner_r[::step_r][kept], to_r, nearest_r, measured_g, int(np.count_nonzero(~kept)))
 
 
 def triangles_near(
