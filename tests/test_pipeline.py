@@ -169,7 +169,8 @@ def test_what_was_measured_is_told_first_and_apart_from_the_whole_mesh(result: r
         recon3d.little_temple(width=160, height=120).ground_truth,
         mm_per_unit=result.scene.mm_per_unit,
     )
-    assert part.accuracy_mm == again.accuracy_mm
+    assert part.accuracy_mm == pytest.approx(again.accuracy_mm, rel=0.01)  # of other samples
+    assert part.completeness_percent == pytest.approx(again.completeness_percent, abs=0.5)
     rows = result.summary()
     assert list(rows)[:4] == ["scene", "surface", "measured surface", "whole mesh"]
     share = f"{result.supported_share:.0%} measured, {1 - result.supported_share:.0%} filled from the hull"
