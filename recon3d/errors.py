@@ -46,5 +46,9 @@ class VolumeTooLargeError(Recon3dError):
     """The volume would not fit into memory."""
 
 
+class NoRoomError(Recon3dError):
+    """There is no room for the temporary files of a run."""
+
+
 class EmptyReconstructionError(Recon3dError):
     """Nothing was left after carving."""

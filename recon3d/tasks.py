@@ -43,6 +43,9 @@ Arrays = Mapping[str, NDArray[Any]]
 _T = TypeVar("_T")
 
 
+_H = TypeVar("_H")
+
+
 class Store(Protocol):
     """Where results stay, such as ``recon3d.io.Checkpoints``."""
 
@@ -82,9 +85,10 @@ def map(  # noqa: A001 # the package's one way to map
     inputs: Mapping[str, tuple[Any, ...]],
     *,
     kept: Kept[_T] | None = None,
+    held: Callable[[_T], _H] = lambda result: result,  # type: ignore[assignment,return-value]
     executor: Executor | None = None,
     progress: Progress | None = None,
-) -> list[_T]:
+) -> list[_H]:
     """Results of a function of named inputs, in their order; those that are kept are not made again.
 
     Parameters
@@ -92,23 +96,25 @@ def map(  # noqa: A001 # the package's one way to map
     function : pure: it depends on its arguments alone and changes none of them. An executor of other processes wants
         it, its arguments and its results to pickle.
     inputs : arguments by the name that the result is kept under.
+    held : makes of each result, once it is there, what is returned in its place, such as ``Scratch.keep``.
     executor : runs the calls: ``threads``, or any other with the interface of ``concurrent.futures``, such as Dask's
         ``Client.get_executor()``. The results are the same. In turn, in this thread, when None.
     progress : called after each result.
     """
     report = progress or (lambda _done, _total: None)
-    results = {name: None if kept is None else kept.find(name) for name in inputs}
-    missing = [name for name, result in results.items() if result is None]
-    done = len(inputs) - len(missing)
-    if done:
-        report(done, len(inputs))
-    for name, result in _computed(function, {name: inputs[name] for name in missing}, executor):
-        results[name] = result
+    results: dict[str, _H] = {}
+    for name in inputs:
+        if kept is not None and (found := kept.find(name)) is not None:
+            results[name] = held(found)
+    if results:
+        report(len(results), len(inputs))
+    missing = {name: given for name, given in inputs.items() if name not in results}
+    for name, result in _computed(function, missing, executor):
+        results[name] = held(result)
         if kept is not None:
             kept.put(name, result)
-        done += 1
-        report(done, len(inputs))
-    return list(results.values())  # type: ignore[arg-type] # none is missing now
+        report(len(results), len(inputs))
+    return [results[name] for name in inputs]
 
 
 def once(

@@ -14,7 +14,7 @@ from recon3d import Bounds, CarvingVolume, Scene, View
 from recon3d.carving.depth_votes import carve_by_depths, hull_of_field
 from recon3d.carving.item_buffer import ItemBuffer
 from recon3d.carving.visible import color_visible
-from recon3d.kernels.depth_maps import fuse_depths
+from recon3d.kernels.depth_maps import add_depths
 from recon3d.kernels.types import DepthMaps, Lattice, Votes
 from recon3d.volume.carved import Label
 
@@ -52,8 +52,8 @@ def carved(
         for parts in zip(*maps, strict=True)
     )
     return carve_by_depths(
-        before, volume, scene.packed, DepthMaps(depths, weights, 1), resolution=resolution, truncation=4.0, prior=0.02,
-        margin=margin,
+        before, volume, scene.cameras, [DepthMaps(depths, weights, 1)], resolution=resolution, truncation=4.0,
+        prior=0.02, margin=margin,
     )  # fmt: skip
 
 
@@ -119,8 +119,11 @@ def test_fused_distances_are_the_weighted_mean_of_those_of_every_view(stride: in
     voxels = np.vstack([rng.integers(0, 12, (200, 3)), rng.integers(-30, 40, (200, 3))])
     origin, size, truncation = np.array([-1.8, -1.7, -1.9]), 0.3, 0.8
     distance, support = np.zeros(len(voxels)), np.zeros(len(voxels))
-    lattice, maps = Lattice(tuple(origin.tolist()), size, (12, 12, 12)), DepthMaps(depths, weights, stride)
-    fuse_depths(voxels, lattice, scene.packed.cameras, maps, truncation, Votes(distance, support))
+    lattice, sums = Lattice(tuple(origin.tolist()), size, (12, 12, 12)), Votes(distance, support)
+    for part in ([0], [1, 2, 3]):
+        maps = DepthMaps(depths[part], weights[part], stride)
+        add_depths(voxels, lattice, scene.cameras.part(part), maps, truncation, sums)
+    np.divide(distance, support, out=distance, where=support > 0)
     expected = fused_depths_twin(scene, origin + (voxels + 0.5) * size, depths, weights, stride, truncation)
     np.testing.assert_allclose(distance, expected[0], atol=1e-6)
     np.testing.assert_allclose(support, expected[1], atol=1e-6)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scenes import ball_mesh, cameras, cropped, grain, photographs
 from scipy.ndimage import gaussian_filter
 
-from recon3d.kernels.fusion import Agreement, Means, PlaneMaps, average_planes
+from recon3d.kernels.fusion import Agreement, Means, PlaneMap, PlaneView, add_agreeing, finish_means, start_means
 from recon3d.kernels.patch_match import NOTHING, HalfSweep, Planes, Search, WeightedWindow, match_planes
 from recon3d.kernels.surface_visibility import Surface, find_visible
 from recon3d.kernels.types import Compared
@@ -311,15 +311,20 @@ def test_planes_are_averaged_with_those_that_agree(
     planes = np.zeros((*depths.shape, 3), np.float32)
     planes[..., 0] = np.divide(1, depths + errors, out=np.zeros(depths.shape), where=depths > 0)
     planes[..., 1:] = rng.normal(0, 1e-3, (*depths.shape, 2))
-    normals = plane_normals(scene, planes, STRIDE)
-    points, means, colors = np.zeros((3, *planes.shape))
-    support = np.zeros(depths.shape)
-    agreeing, contradicting = np.zeros((2, *depths.shape), np.int64)
-    asked = np.array([[1, 2, 3], [3, 2, 0], [0, 1, 3], [0, 1, 2]])
-    average_planes(
-        scene.packed.cameras, scene.packed.images, PlaneMaps(planes, normals, weights, STRIDE),
-        Agreement(asked, 0.1, 0.8), Means(points, means, colors, support, agreeing, contradicting),
-    )  # fmt: skip
+    normals = np.stack([plane_normals(view, each, STRIDE) for view, each in zip(scene.views, planes, strict=True)])
+    for array in (planes, normals, weights):
+        array.setflags(write=False)
+    seen = [
+        PlaneView(scene.cameras.at(n), view.image, PlaneMap(planes[n], normals[n], weights[n], STRIDE))
+        for n, view in enumerate(scene.views)
+    ]
+    found = [Means.none(*depths.shape[1:]) for _ in seen]
+    for own, asked, sums in zip(seen, [[1, 2, 3], [3, 2, 0], [0, 1, 3], [0, 1, 2]], found, strict=True):
+        start_means(own, sums)
+        for other in asked:
+            add_agreeing(own, seen[other], Agreement(0.1, 0.8), sums)
+        finish_means(own, sums)
+    points, means, colors, support, _, agreeing, contradicting = map(np.stack, zip(*found, strict=True))
     for place in map(tuple, np.argwhere(weights > 0)):
         point, normal, color, weight, n_agreeing, n_contradicting = average_twin(
             scene, planes, normals, weights, place, 0.1, 0.8
@@ -336,16 +341,16 @@ def test_planes_are_averaged_with_those_that_agree(
 
 def test_normals_of_planes_stand_on_the_planes_points(scene: Scene) -> None:
     planes = np.tile(np.array([0.17, 2e-3, -1e-3], np.float32), (4, 18, 24, 1))
-    normals = plane_normals(scene, planes, STRIDE)
     for n, view in enumerate(scene.views):
+        normals = plane_normals(view, planes[n], STRIDE)
         u, v = 20, 16
         middle, right, below = (
             (np.linalg.inv(view.cam_from_world) @ [*(np.linalg.inv(view.K) @ [a, b, 1] / w), 1])[:3]
             for a, b, w in ((u, v, 0.17), (u + 1, v, 0.172), (u, v + 1, 0.169))
         )
-        normal = normals[n, v // STRIDE, u // STRIDE]
+        normal = normals[v // STRIDE, u // STRIDE]
         assert normal @ (right - middle) == pytest.approx(0, abs=1e-7)
         assert normal @ (below - middle) == pytest.approx(0, abs=1e-7)
         assert normal @ (view.center - middle) > 0
         assert np.linalg.norm(normal) == pytest.approx(1)
-    assert (plane_normals(scene, np.zeros_like(planes), STRIDE) == 0).all()
+    assert (plane_normals(scene.views[0], np.zeros_like(planes[0]), STRIDE) == 0).all()

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_fill_holes, gaussian_filter
 
-from recon3d.kernels.depth_maps import fuse_depths
-from recon3d.kernels.types import DepthMaps, Votes
-from recon3d.scene.packed import PackedViews
+from recon3d.kernels.depth_maps import add_depths
+from recon3d.kernels.types import Cameras, DepthMaps, Votes
 from recon3d.volume.carved import CarvedVolume, Label
 from recon3d.volume.dense import CarvingVolume
 
@@ -26,8 +27,8 @@ def hull_of_field(field: NDArray[np.float32], carved: NDArray[np.integer], volum
 def carve_by_depths(
     field: NDArray[np.float32],
     volume: CarvingVolume,
-    views: PackedViews,
-    maps: DepthMaps,
+    cameras: Cameras,
+    maps: Iterable[DepthMaps],
     *,
     resolution: float,
     truncation: float,
@@ -38,7 +39,8 @@ def carve_by_depths(
 
     Parameters
     ----------
-    maps : of the views; pixels with a weight of 0 do not vote.
+    cameras : of all views.
+    maps : one after the other, each of the next one or more views; pixels with a weight of 0 do not vote.
     resolution : width of the blur that joins votes, and unit of the margin; world units.
     truncation : how far before and behind a depth it is evidence for the surface's exact place, world units.
     prior : weight of the vote for solid that every voxel starts with.
@@ -47,9 +49,13 @@ def carve_by_depths(
     occupied = field > 0
     voxels = np.argwhere(occupied)
     near = Votes(np.zeros(len(voxels)), np.zeros(len(voxels)))
-    fuse_depths(voxels, volume.lattice.packed, views.cameras, maps, truncation, near)
+    first = 0
+    for each in maps:
+        last = first + len(each.depths)
+        add_depths(voxels, volume.lattice.packed, cameras.part(range(first, last)), each, truncation, near)
+        first = last
     votes, weight = np.zeros(volume.shape, np.float32), np.zeros(volume.shape, np.float32)
-    votes[occupied], weight[occupied] = near.distance * near.support, near.support
+    votes[occupied], weight[occupied] = near.distance, near.support
     # Blurred together with their weights, so that one stray ray cannot bore a hole.
     blur = resolution / volume.voxel_size
     votes, weight = gaussian_filter(votes, blur), gaussian_filter(weight, blur)

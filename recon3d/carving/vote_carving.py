@@ -111,9 +111,8 @@ class VoteCarving(Method):
         """
         volume = CarvingVolume.full(volume)
         neighbours = matching_neighbours(scene)
-        # Smaller pixels do not make voxels say more, nor do voxels below a few pixels make the photographs.
-        shrink = max(1, round(volume.voxel_size / (_FINEST * scene.pixel_footprint)))
-        views, footprint = scene.packed_at(1 / shrink), shrink * scene.pixel_footprint
+        scale = reading_scale(scene, volume.voxel_size)
+        views, footprint = scene.packed_at(scale), scene.pixel_footprint / scale
         resolution = max(volume.voxel_size, _FINEST * footprint)
         start_field = start_distance(scene, volume)
         inside = volume.occupied & (start_field > 0)
@@ -123,7 +122,7 @@ class VoteCarving(Method):
             buffer = ItemBuffer(views, volume)
             buffer.advance(field > 0)
             field = carve_by_depths(
-                field, volume, views, matcher.depth_maps(buffer, each), resolution=resolution,
+                field, volume, views.cameras, [matcher.depth_maps(buffer, each)], resolution=resolution,
                 truncation=self.truncation * resolution, prior=each.prior, margin=each.margin,
             )  # fmt: skip
             if progress:
@@ -137,6 +136,14 @@ class VoteCarving(Method):
         hull = hull_of_field(field, labels, volume)
         color_visible(hull, ItemBuffer(views, volume), field > 0)
         return hull
+
+
+def reading_scale(scene: Scene, voxel_size: float) -> float:
+    """Scale at which photographs are read for voxels of a size in world units: 1, a half, a third, ...
+
+    Smaller pixels do not make voxels say more, nor do voxels below a few pixels make the photographs.
+    """
+    return 1 / max(1, round(voxel_size / (_FINEST * scene.pixel_footprint)))
 
 
 @dataclass(frozen=True)

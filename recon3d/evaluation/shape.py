@@ -12,6 +12,8 @@ from scipy.sparse.csgraph import connected_components
 
 from recon3d.errors import ArgumentError
 
+_BLOCK = 1 << 18  # edges at a time, of some hundred bytes each
+
 
 @dataclass(frozen=True)
 class ShapeQuality:
@@ -50,7 +52,7 @@ class ShapeQuality:
         ------
         ArgumentError : it has no triangles.
         """
-        triangles = np.asarray(mesh.triangles, np.int64)
+        triangles = np.asarray(mesh.triangles)
         if not len(triangles):
             raise ArgumentError("the mesh to measure has no triangles")
         edges = _Edges.of(triangles)
@@ -80,26 +82,26 @@ class _Edges:
     Corner 3 t + k is triangle t's k-th; a side's two ends are corners.
     """
 
-    ends: NDArray[np.int64]
+    ends: NDArray[np.int32]
     """(3 n_triangles, 2) corners at the edge's vertex of lower and of higher index."""
-    edge: NDArray[np.int64]
+    edge: NDArray[np.int32]
     """(3 n_triangles,) edge of each side, ascending."""
     sizes: NDArray[np.int64]
     """(n_edges,) triangles at each edge."""
 
     @classmethod
-    def of(cls, triangles: NDArray[np.int64]) -> _Edges:
+    def of(cls, triangles: NDArray[np.int32]) -> _Edges:
         """Sort the sides of triangles (n_triangles, 3) by their vertices."""
-        corner = np.arange(triangles.size).reshape(-1, 3)
+        corner = np.arange(triangles.size, dtype=np.int32).reshape(-1, 3)
         ends = np.stack([corner, np.roll(corner, -1, axis=1)], axis=-1).reshape(-1, 2)
-        vertices = triangles.ravel()[ends]
-        ends = np.where(vertices[:, :1] < vertices[:, 1:], ends, ends[:, ::-1])
-        key = vertices.min(axis=1) * (triangles.max() + 1) + vertices.max(axis=1)
+        low, high = triangles.ravel()[ends].T
+        ends[low >= high] = ends[low >= high, ::-1]
+        key = np.minimum(low, high) * (np.int64(triangles.max()) + 1) + np.maximum(low, high)
         order = np.argsort(key, kind="stable")
-        edge = np.cumsum(np.diff(key[order], prepend=-1) != 0) - 1
+        edge = np.cumsum(np.diff(key[order], prepend=-1) != 0, dtype=np.int32) - np.int32(1)
         return cls(ends[order], edge, np.bincount(edge))
 
-    def fans(self) -> tuple[NDArray[np.int64], int]:
+    def fans(self) -> tuple[NDArray[np.int32], int]:
         """(3 n_triangles,) number of the fan that each corner is in, and how many there are.
 
         A fan: the triangles at a vertex that edges at this vertex join.
@@ -113,16 +115,16 @@ class _Edges:
         return np.flatnonzero(self.sizes[self.edge] == 2)[::2]
 
 
-def _connected(n_nodes: int, links: NDArray[np.int64]) -> tuple[NDArray[np.int64], int]:
+def _connected(n_nodes: int, links: NDArray[np.integer]) -> tuple[NDArray[np.int32], int]:
     """(n_nodes,) component of each node under links (n, 2), and the number of components."""
     if not n_nodes:
-        return np.empty(0, np.int64), 0
+        return np.empty(0, np.int32), 0
     graph = coo_array((np.ones(len(links), np.bool_), links.T), shape=(n_nodes, n_nodes))
     count, component = connected_components(graph, directed=False)
-    return component.astype(np.int64), int(count)
+    return np.asarray(component, np.int32), int(count)
 
 
-def _genus(edges: _Edges, fan: NDArray[np.int64], piece_of_fan: NDArray[np.int64]) -> int | None:
+def _genus(edges: _Edges, fan: NDArray[np.int32], piece_of_fan: NDArray[np.int32]) -> int | None:
     """Handles of the closed pieces together, vertices of several fans counting once for each."""
     of_edge = piece_of_fan[fan[edges.ends[np.diff(edges.edge, prepend=-1) != 0, 0]]]
     n_vertices, n_edges = np.bincount(piece_of_fan), np.bincount(of_edge)
@@ -134,9 +136,13 @@ def _genus(edges: _Edges, fan: NDArray[np.int64], piece_of_fan: NDArray[np.int64
 
 def _mean_dihedral(edges: _Edges, corners: NDArray[np.float64], normals: NDArray[np.float64]) -> float:
     """Degrees, weighted by length; triangles without area have no normal and are left out; 0 without an edge."""
-    side = edges.pairs()
-    a, b = (normals[edges.ends[n, 0] // 3] for n in (side, side + 1))
-    length = np.linalg.norm(np.subtract(*(corners[edges.ends[side, end]] for end in range(2))), axis=1)
-    length *= a.any(axis=1) & b.any(axis=1)
-    angle = np.arctan2(np.linalg.norm(np.cross(a, b), axis=1), (a * b).sum(axis=1))
-    return float(np.degrees(angle @ length / length.sum())) if length.any() else 0.0
+    sides = edges.pairs()
+    turned = total = 0.0
+    for first in range(0, len(sides), _BLOCK):
+        side = sides[first : first + _BLOCK]
+        a, b = (normals[edges.ends[n, 0] // 3] for n in (side, side + 1))
+        length = np.linalg.norm(np.subtract(*(corners[edges.ends[side, end]] for end in range(2))), axis=1)
+        length *= a.any(axis=1) & b.any(axis=1)
+        angle = np.arctan2(np.linalg.norm(np.cross(a, b), axis=1), (a * b).sum(axis=1))
+        turned, total = turned + float(angle @ length), total + float(length.sum())
+    return float(np.degrees(turned / total)) if total else 0.0

@@ -10,7 +10,7 @@ from recon3d.kernels.types import Cameras, DepthMaps, Lattice, Votes
 
 
 @kernel(parallel=True)
-def fuse_depths(
+def add_depths(
     part: Part,
     voxels: NDArray[np.int64],
     lattice: Lattice,
@@ -19,9 +19,10 @@ def fuse_depths(
     truncation: float,
     votes: Votes,
 ) -> None:
-    """Weighted mean of truncated signed distances behind the depth maps at the centres of voxels (n, 3).
+    """Add weighted truncated signed distances behind the depth maps at the centres of voxels (n, 3), and the weights.
 
-    A voxel farther than the truncation behind a view's surface learns nothing from that view.
+    The votes hold sums, not means. A voxel farther than the truncation behind a view's surface learns nothing from that
+    view.
     """
     depths, weights, stride = maps
     projections = cameras.projections
@@ -29,8 +30,8 @@ def fuse_depths(
     n_views, rows, columns = depths.shape
     for n in span(part, voxels.shape[0]):
         x, y, z = center_of(lattice, voxels[n, 0], voxels[n, 1], voxels[n, 2])
-        total = 0.0
-        weight = 0.0
+        total = distance[n]
+        weight = support[n]
         for view in range(n_views):
             u, v, depth = project(projections[view], x, y, z)
             if depth <= 0.0:
@@ -45,8 +46,7 @@ def fuse_depths(
             total += weights[view, row, column] * max(behind, -truncation)
             weight += weights[view, row, column]
         support[n] = weight
-        if weight > 0.0:
-            distance[n] = total / weight
+        distance[n] = total
 
 
 @kernel(parallel=True)

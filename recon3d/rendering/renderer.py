@@ -13,6 +13,8 @@ from recon3d.errors import ArgumentError
 from recon3d.rendering.ray_caster import RayCaster
 from recon3d.scene.view import View
 
+_BAND = 1 << 20  # rays at a time, of some hundred bytes each
+
 
 @dataclass(frozen=True)
 class Rendering:
@@ -85,9 +87,16 @@ class Renderer:
         """View from an input camera."""
         return self.render(view.K, view.cam_from_world, view.width, view.height)
 
-    def cast(self, K: NDArray[np.float64], cam_from_world: NDArray[np.float64], width: int, height: int) -> SeenPixels:
-        """Where the rays of the pixels of a camera, K (3, 3) and cam_from_world (4, 4), meet the mesh."""
-        center, directions = pixel_rays(K, cam_from_world, width, height)
+    def cast(
+        self, K: NDArray[np.float64], cam_from_world: NDArray[np.float64], width: int, rows: int | range
+    ) -> SeenPixels:
+        """Where the rays of the pixels of a camera, K (3, 3) and cam_from_world (4, 4), meet the mesh.
+
+        Parameters
+        ----------
+        rows : of the image: how many there are, or those that are wanted.
+        """
+        center, directions = pixel_rays(K, cam_from_world, width, rows)
         return SeenPixels(*self._caster.first_hits(center, directions), directions)
 
     def normals(self, seen: SeenPixels) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -146,10 +155,22 @@ class SeenPixels:
 
 
 def pixel_rays(
-    K: NDArray[np.float64], cam_from_world: NDArray[np.float64], width: int, height: int
+    K: NDArray[np.float64], cam_from_world: NDArray[np.float64], width: int, rows: int | range
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Camera centre (3,) and ray directions (height, width, 3) of depth one, in the world, through pixel centres."""
-    u, v = np.meshgrid(np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64))
+    """Camera centre (3,) and ray directions (n_rows, width, 3) of depth one, in the world, through pixel centres.
+
+    Parameters
+    ----------
+    rows : of the image: how many there are, or those that are wanted.
+    """
+    wanted = range(rows) if isinstance(rows, int) else rows
+    u, v = np.meshgrid(np.arange(width, dtype=np.float64), np.arange(wanted.start, wanted.stop, dtype=np.float64))
     world_from_pixel = cam_from_world[:3, :3].T @ np.linalg.inv(K)
     center = -cam_from_world[:3, :3].T @ cam_from_world[:3, 3]
     return center, np.stack([u, v, np.ones_like(u)], axis=-1) @ world_from_pixel.T
+
+
+def bands(height: int, width: int, stride: int = 1) -> list[range]:
+    """Rows of an image in parts whose rays take little memory; each begins at a multiple of the stride."""
+    n = max(_BAND // width // stride, 1) * stride
+    return [range(top, min(top + n, height)) for top in range(0, height, n)]

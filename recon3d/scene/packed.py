@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import cached_property
 from os import cpu_count
 
 import cv2
@@ -11,7 +12,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recon3d.kernels.types import Cameras
+from recon3d.scene.camera import Camera
 from recon3d.scene.view import View
+
+
+def pack_cameras(cameras: Sequence[Camera]) -> Cameras:
+    """Cameras as kernels read them."""
+    packed = Cameras(
+        projections=np.stack([camera.K @ camera.cam_from_world[:3] for camera in cameras]),
+        world_from_pixel=np.stack([camera.cam_from_world[:3, :3].T @ np.linalg.inv(camera.K) for camera in cameras]),
+        centers=np.stack([-camera.cam_from_world[:3, :3].T @ camera.cam_from_world[:3, 3] for camera in cameras]),
+        focals=np.array([np.sqrt(abs(np.linalg.det(camera.K[:2, :2]))) for camera in cameras]),
+        sizes=np.array([(camera.width, camera.height) for camera in cameras]),
+    )
+    for array in packed:
+        array.setflags(write=False)
+    return packed
 
 
 class PackedViews:
@@ -24,8 +40,6 @@ class PackedViews:
     """(n_views, height, width, 3) RGB."""
     foreground: NDArray[np.bool_]
     """(n_views, height, width) pixels that may show the object; all of a view without silhouette."""
-    integrals: NDArray[np.int32]
-    """(n_views, height + 1, width + 1) summed-area tables of the foreground."""
     cameras: Cameras
 
     def __init__(self, views: Sequence[View], scale: float = 1.0) -> None:
@@ -42,18 +56,16 @@ class PackedViews:
 
         with ThreadPoolExecutor(cpu_count()) as pool:  # decoding and OpenCV release the interpreter lock
             list(pool.map(fill, range(len(views))))
-        self.integrals = np.stack([cv2.integral(mask.view(np.uint8)) for mask in self.foreground])
-        self.cameras = Cameras(
-            projections=np.stack([camera.K @ camera.cam_from_world[:3] for camera in cameras]),
-            world_from_pixel=np.stack(
-                [camera.cam_from_world[:3, :3].T @ np.linalg.inv(camera.K) for camera in cameras]
-            ),
-            centers=np.stack([view.center for view in views]),
-            focals=np.array([np.sqrt(abs(np.linalg.det(camera.K[:2, :2]))) for camera in cameras]),
-            sizes=np.array([(camera.width, camera.height) for camera in cameras]),
-        )
-        for array in (self.images, self.foreground, self.integrals, *self.cameras):
+        self.cameras = pack_cameras(cameras)
+        for array in (self.images, self.foreground):
             array.setflags(write=False)
+
+    @cached_property
+    def integrals(self) -> NDArray[np.int32]:
+        """(n_views, height + 1, width + 1) summed-area tables of the foreground; made when first asked for."""
+        tables = np.stack([cv2.integral(mask.view(np.uint8)) for mask in self.foreground])
+        tables.setflags(write=False)
+        return tables
 
     def __len__(self) -> int:
         """Number of views."""

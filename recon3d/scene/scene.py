@@ -13,10 +13,11 @@ import open3d as o3d
 from numpy.typing import ArrayLike, NDArray
 
 from recon3d.errors import ArgumentError, SceneError
+from recon3d.kernels.types import Cameras
 from recon3d.scene.bounds import Bounds
 from recon3d.scene.enclosing import enclosing_box
 from recon3d.scene.not_seen import why_not_seen
-from recon3d.scene.packed import PackedViews
+from recon3d.scene.packed import PackedViews, pack_cameras
 from recon3d.scene.photograph import Photograph
 from recon3d.scene.view import View
 from recon3d.summary import Summarised, thumbnails
@@ -155,6 +156,11 @@ class Scene(ByContent, Summarised):
     def packed_at(self, scale: float) -> PackedViews:
         """All views at a scale of at most 1 as arrays for kernels; each scale's made once, when first asked for."""
         return self._packings.setdefault(scale, Once()).get(lambda: PackedViews(self.views, scale))
+
+    @property
+    def cameras(self) -> Cameras:
+        """All views' cameras for kernels; reads no pixels."""
+        return pack_cameras([view.calibration for view in self.views])
 
     @property
     def centers(self) -> NDArray[np.float64]:

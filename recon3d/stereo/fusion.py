@@ -3,21 +3,35 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import open3d as o3d
 from numpy.typing import NDArray
 
 from recon3d.errors import ArgumentError, EmptyReconstructionError
-from recon3d.kernels.fusion import Agreement, Means, PlaneMaps, average_planes
+from recon3d.kernels.fusion import Agreement, Means, PlaneMap, PlaneView, add_agreeing, finish_means, start_means
+from recon3d.kernels.types import Cameras
 from recon3d.scene.neighbours import overlapping_neighbours
 from recon3d.scene.scene import Scene
+from recon3d.scene.view import View
+from recon3d.scratch import Scratch, Stored, load
 from recon3d.stereo.patch_match import DepthMap, Matching, plane_normals
 
 _TOLERANCE = 3.0  # pixel footprints between a point and a plane that agree
 _MAX_ANGLE = 45.0  # degrees between their normals
 _CONTRADICTION = 0.5  # views that see through a point, as a share of those that agree on it
+
+
+@dataclass(frozen=True)
+class ConfirmedDepths:
+    """What of a view's depths other views confirm and do not contradict."""
+
+    depths: NDArray[np.float32]
+    """(rows, columns) along the optical axis, world units; 0 for all others."""
+    weights: NDArray[np.float32]
+    """(rows, columns) NCC^2; 0 for all others."""
 
 
 @dataclass(frozen=True)
@@ -32,8 +46,8 @@ class Fusion:
     """(n, 3) in [0, 1]."""
     support: NDArray[np.float64]
     """(n,) sum of the agreeing views' weights, NCC^2 each."""
-    weights: NDArray[np.float32]
-    """(n_views, rows, columns) weight of the pixels that the points come from; 0 for all others."""
+    depths: tuple[Stored[ConfirmedDepths], ...]
+    """Of each view, the depths that the points come from."""
 
     def cloud(self) -> o3d.t.geometry.PointCloud:
         """Point cloud with ``positions``, ``normals``, ``colors``, and ``confidence`` s / (1 + s) of a support s."""
@@ -44,7 +58,7 @@ class Fusion:
         return cloud
 
 
-def fuse(scene: Scene, depth_maps: Sequence[DepthMap], matching: Matching) -> Fusion:
+def fuse(scene: Scene, depth_maps: Sequence[DepthMap | Stored[DepthMap]], matching: Matching) -> Fusion:
     """Keep what several views agree on and hardly any view sees through, in the mean of those that agree.
 
     Each view's points are compared with the views that may see the same surface, see ``overlapping_neighbours``.
@@ -57,25 +71,69 @@ def fuse(scene: Scene, depth_maps: Sequence[DepthMap], matching: Matching) -> Fu
     """
     if len(depth_maps) != len(scene.views):
         raise ArgumentError(f"expected a depth map of each of {len(scene.views)} views, got {len(depth_maps)}")
-    views = scene.packed
-    planes = np.stack([depth_map.planes for depth_map in depth_maps])
-    costs = np.stack([depth_map.costs for depth_map in depth_maps])
-    normals = plane_normals(scene, planes, matching.stride)
-    matched = weights = np.where(costs <= matching.max_cost, np.square(1 - costs), 0).astype(np.float32)
-    least = float(np.cos(np.radians(_MAX_ANGLE)))
-    agreement = Agreement(overlapping_neighbours(scene), _TOLERANCE * scene.pixel_footprint, least)
-    for _ in range(2):
-        points, mean_normals, colors = np.zeros((3, *planes.shape))
-        agreeing, contradicting = np.zeros((2, *costs.shape), np.int64)
-        means = Means(points, mean_normals, colors, np.zeros(costs.shape), agreeing, contradicting)
-        maps = PlaneMaps(planes, normals, weights, matching.stride)
-        average_planes(views.cameras, views.images, maps, agreement, means)
-        weights = np.where(means.agreeing > 0, weights, np.float32(0))
-    weights = np.where(means.contradicting <= _CONTRADICTION * means.agreeing, weights, np.float32(0))
-    kept = weights > 0
-    if not kept.any():
+    scratch = Scratch()
+    pairs = zip(scene.views, depth_maps, strict=True)
+    maps = [scratch.keep(_weighed(view, load(each), matching)) for view, each in pairs]
+    n_matched = sum(int(np.count_nonzero(each.read().weights)) for each in maps)
+    agreement = Agreement(_TOLERANCE * scene.pixel_footprint, float(np.cos(np.radians(_MAX_ANGLE))))
+    asked = overlapping_neighbours(scene)
+    means = partial(_means, scene, scene.cameras, stride=matching.stride, asked=asked, agreement=agreement)
+    confirmed = [np.where(means(maps, n).agreeing > 0, maps[n].read().weights, np.float32(0)) for n in range(len(maps))]
+    maps = [scratch.keep(replace(each.read(), weights=weights)) for each, weights in zip(maps, confirmed, strict=True)]
+    parts, depths = [], []
+    for n, each in enumerate(maps):
+        own, found = each.read(), means(maps, n)
+        believed = (found.agreeing > 0) & (found.contradicting <= _CONTRADICTION * found.agreeing)
+        weights = np.where(believed, own.weights, np.float32(0))
+        kept = weights > 0
+        colors = np.clip(found.colors[kept] / 255, 0, 1)
+        parts.append((found.points[kept], found.normals[kept], colors, found.support[kept]))
+        depth = np.divide(1, own.planes[..., 0], out=np.zeros_like(weights), where=kept)
+        depths.append(scratch.keep(ConfirmedDepths(depth, weights)))
+    points, normals, colors, support = (np.concatenate(part) for part in zip(*parts, strict=True))
+    if not len(points):
         raise EmptyReconstructionError(
-            f"scene {scene.name}: no two views agree on any point; {np.count_nonzero(matched):,} pixels found a match"
+            f"scene {scene.name}: no two views agree on any point; {n_matched:,} pixels found a match"
         )
-    colors = np.clip(means.colors[kept] / 255, 0, 1)
-    return Fusion(means.points[kept], means.normals[kept], colors, means.support[kept], weights)
+    return Fusion(points, normals, colors, support, tuple(depths))
+
+
+@dataclass(frozen=True)
+class _Weighed:
+    """A view's planes as kernels read them."""
+
+    planes: NDArray[np.float32]
+    normals: NDArray[np.float32]
+    weights: NDArray[np.float32]
+
+
+def _weighed(view: View, depth_map: DepthMap, matching: Matching) -> _Weighed:
+    """A view's planes, whose matches weigh NCC^2."""
+    weights = np.where(depth_map.costs <= matching.max_cost, np.square(1 - depth_map.costs), 0).astype(np.float32)
+    return _Weighed(depth_map.planes, plane_normals(view, depth_map.planes, matching.stride), weights)
+
+
+def _means(
+    scene: Scene,
+    cameras: Cameras,
+    maps: Sequence[Stored[_Weighed]],
+    n: int,
+    *,
+    stride: int,
+    asked: NDArray[np.int64],
+    agreement: Agreement,
+) -> Means:
+    """Means of a view's planes with those of the views that it asks, one after the other."""
+
+    def view(number: int) -> PlaneView:
+        read = maps[number].read()
+        image = scene.views[number].image
+        return PlaneView(cameras.at(number), image, PlaneMap(read.planes, read.normals, read.weights, stride))
+
+    own = view(n)
+    means = Means.none(*own.map.weights.shape)
+    start_means(own, means)
+    for other in asked[n][asked[n] >= 0]:
+        add_agreeing(own, view(int(other)), agreement, means)
+    finish_means(own, means)
+    return means

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -16,8 +16,9 @@ from recon3d.errors import ArgumentError
 from recon3d.kernels.patch_match import NOTHING, HalfSweep, Planes, Search, WeightedWindow, match_planes
 from recon3d.kernels.surface_visibility import Surface, find_visible
 from recon3d.kernels.types import Camera, Cameras, Compared
-from recon3d.rendering.renderer import Renderer
+from recon3d.rendering.renderer import Renderer, bands
 from recon3d.scene.scene import Scene
+from recon3d.scene.view import View
 
 _MOST_NEIGHBOURS = 32  # bits of a pixel's visibility
 
@@ -103,20 +104,23 @@ class GuidedView:
     """(rows, columns, 3) of the carved surface at the matched pixels, world, towards the camera; zero beside it."""
 
 
-def guide_views(scene: Scene, surface: o3d.geometry.TriangleMesh, stride: int) -> list[GuidedView]:
-    """Every view of a scene with what it sees of a carved surface, whose normals are taken of strided pixels."""
-    views, renderer = scene.packed, Renderer(surface)
-    guided = []
+def guide_views(scene: Scene, surface: o3d.geometry.TriangleMesh, stride: int) -> Iterator[GuidedView]:
+    """Each view of a scene with what it sees of a carved surface, whose normals are taken of strided pixels."""
+    cameras, renderer = scene.cameras, Renderer(surface)
+    height, width = (max(sizes) for sizes in zip(*((view.height, view.width) for view in scene.views), strict=True))
     for n, view in enumerate(scene.views):
-        depth = np.zeros(views.foreground.shape[1:], np.float32)
+        depth, luminance = np.zeros((2, height, width), np.float32)
         normals = np.zeros((*depth[::stride, ::stride].shape, 3), np.float32)
-        seen = renderer.cast(view.K, view.cam_from_world, view.width, view.height)
-        depth[: view.height, : view.width] = np.where(seen.hit, seen.depth, 0)
-        strided, _ = renderer.normals(seen.strided(stride))
-        normals[: strided.shape[0], : strided.shape[1]] = strided
-        luminance = cv2.cvtColor(views.images[n], cv2.COLOR_RGB2GRAY).astype(np.float32)
-        guided.append(GuidedView(luminance, views.cameras.at(n), depth, normals))
-    return guided
+        for rows in bands(view.height, view.width, stride):
+            seen = renderer.cast(view.K, view.cam_from_world, view.width, rows)
+            depth[rows.start : rows.stop, : view.width] = np.where(seen.hit, seen.depth, 0)
+            strided, _ = renderer.normals(seen.strided(stride))
+            first = rows.start // stride
+            normals[first : first + strided.shape[0], : strided.shape[1]] = strided
+        luminance[: view.height, : view.width] = cv2.cvtColor(view.image, cv2.COLOR_RGB2GRAY)
+        for array in (depth, luminance, normals):
+            array.setflags(write=False)
+        yield GuidedView(luminance, cameras.at(n), depth, normals)
 
 
 def match_view(
@@ -185,15 +189,12 @@ def _first_planes(view: GuidedView, start: NDArray[np.float32], stride: int) -> 
     return np.concatenate([inverse[..., None], np.where(hit[..., None], slopes, 0)], axis=-1).astype(np.float32)
 
 
-def plane_normals(scene: Scene, planes: NDArray[np.float32], stride: int) -> NDArray[np.float32]:
-    """(n_views, rows, columns, 3) unit world normals, towards the camera, of planes of all views; zero where none."""
-    normals = np.zeros(planes.shape, np.float32)
-    for n, view in enumerate(scene.views):
-        w, along_u, along_v = np.moveaxis(planes[n], -1, 0).astype(np.float64)
-        rows, columns = np.mgrid[: w.shape[0], : w.shape[1]] * stride
-        # 1 / z = (a, b, c) . (u, v, 1) is the plane (K^T (a, b, c)) . X = 1.
-        plane = np.stack([along_u, along_v, w - along_u * columns - along_v * rows], axis=-1)
-        toward = -(plane @ view.K @ view.cam_from_world[:3, :3])
-        length = np.linalg.norm(toward, axis=-1, keepdims=True)
-        normals[n] = np.divide(toward, length, out=np.zeros_like(toward), where=length > 0)
-    return normals
+def plane_normals(view: View, planes: NDArray[np.float32], stride: int) -> NDArray[np.float32]:
+    """(rows, columns, 3) unit world normals, towards the camera, of a view's planes; zero where there is none."""
+    w, along_u, along_v = np.moveaxis(planes, -1, 0).astype(np.float64)
+    rows, columns = np.mgrid[: w.shape[0], : w.shape[1]] * stride
+    # 1 / z = (a, b, c) . (u, v, 1) is the plane (K^T (a, b, c)) . X = 1.
+    plane = np.stack([along_u, along_v, w - along_u * columns - along_v * rows], axis=-1)
+    toward = -(plane @ view.K @ view.cam_from_world[:3, :3])
+    length = np.linalg.norm(toward, axis=-1, keepdims=True)
+    return np.asarray(np.divide(toward, length, out=np.zeros_like(toward), where=length > 0), np.float32)

@@ -17,12 +17,14 @@ from recon3d.carving.depth_votes import carve_by_depths, hull_of_field
 from recon3d.carving.item_buffer import ItemBuffer
 from recon3d.carving.start import any_silhouette
 from recon3d.carving.visible import color_visible
+from recon3d.carving.vote_carving import reading_scale
 from recon3d.errors import ArgumentError
 from recon3d.kernels.types import DepthMaps
 from recon3d.scene.neighbours import matching_neighbours
 from recon3d.scene.scene import Scene
+from recon3d.scratch import Scratch, Stored, load
 from recon3d.stereo.fusion import Fusion, fuse
-from recon3d.stereo.patch_match import DepthMap, Matching, guide_views, match_view
+from recon3d.stereo.patch_match import DepthMap, GuidedView, Matching, guide_views, match_view
 from recon3d.surface.extraction import mesh_shape
 from recon3d.tasks import Arrays, Kept, Progress, Store, content_key, once
 from recon3d.volume.carved import CarvedVolume, Label
@@ -125,19 +127,34 @@ def _pass(
 ) -> Refinement:
     """Match every view, fuse the depth maps, and carve the hull to them, whose voxels are coloured if wanted."""
     neighbours = matching_neighbours(scene, matching.neighbours)
-    guided = guide_views(scene, mesh_shape(hull.with_interior, distance=hull.distance), matching.stride)
-    match = partial(match_view, footprint=scene.pixel_footprint, thickness=float(min(scene.bounds.extent)))
+    scratch = Scratch()
+    surface = mesh_shape(hull.with_interior, distance=hull.distance)
+    guided = [scratch.keep(view) for view in guide_views(scene, surface, matching.stride)]
+    match = partial(_matched, footprint=scene.pixel_footprint, thickness=float(min(scene.bounds.extent)))
     inputs = {
         f"{name} view {n + 1}": (view, [guided[other] for other in neighbours[n]], matching)
         for n, view in enumerate(guided)
     }
-    depth_maps = tasks.map(match, inputs, kept=kept, executor=executor, progress=progress)
+    depth_maps = tasks.map(match, inputs, kept=kept, held=scratch.keep, executor=executor, progress=progress)
     fusion = fuse(scene, depth_maps, matching)
-    carved = _carve(scene, hull, depth_maps, fusion, matching)
+    carved = _carve(scene, hull, fusion, matching)
     if colored:
-        color_visible(carved, ItemBuffer(scene.packed, carved.volume), carved.with_interior.occupied)
+        views = scene.packed_at(reading_scale(scene, hull.lattice.voxel_size))
+        color_visible(carved, ItemBuffer(views, carved.volume), carved.with_interior.occupied)
     points = fusion.cloud()
     return Refinement(points if any_silhouette(scene) else _within(points, scene), carved)
+
+
+def _matched(
+    view: GuidedView | Stored[GuidedView],
+    others: Sequence[GuidedView | Stored[GuidedView]],
+    matching: Matching,
+    *,
+    footprint: float,
+    thickness: float,
+) -> DepthMap:
+    """Match a view with others that are read for it alone."""
+    return match_view(load(view), [load(other) for other in others], matching, footprint=footprint, thickness=thickness)
 
 
 def _within(points: o3d.t.geometry.PointCloud, scene: Scene) -> o3d.t.geometry.PointCloud:
@@ -170,18 +187,15 @@ def _restored(lattice: Lattice, arrays: Arrays) -> Refinement:
     return Refinement(points, CarvedVolume.from_arrays(lattice, rest))
 
 
-def _carve(
-    scene: Scene, hull: CarvedVolume, depth_maps: Sequence[DepthMap], fusion: Fusion, matching: Matching
-) -> CarvedVolume:
+def _carve(scene: Scene, hull: CarvedVolume, fusion: Fusion, matching: Matching) -> CarvedVolume:
     """The hull without what lies in front of the fused depths."""
-    volume, solid, views = hull.volume, hull.with_interior.occupied, scene.packed
+    volume, solid = hull.volume, hull.with_interior.occupied
     distance = hull.distance if hull.distance is not None else _distance_inside(solid, volume.voxel_size)
-    inverse = np.stack([depth_map.planes[..., 0] for depth_map in depth_maps])
-    depths = np.divide(1, inverse, out=np.zeros_like(inverse), where=fusion.weights > 0)
+    kept = (each.read() for each in fusion.depths)
+    maps = (DepthMaps(each.depths[None], each.weights[None], matching.stride) for each in kept)
     field = carve_by_depths(
-        np.where(solid, distance, np.minimum(distance, 0)), volume, views,
-        DepthMaps(depths, fusion.weights, matching.stride), resolution=_BLUR * volume.voxel_size,
-        truncation=_TRUNCATION * volume.voxel_size, prior=_PRIOR,
+        np.where(solid, distance, np.minimum(distance, 0)), volume, scene.cameras, maps,
+        resolution=_BLUR * volume.voxel_size, truncation=_TRUNCATION * volume.voxel_size, prior=_PRIOR,
     )  # fmt: skip
     return hull_of_field(field, np.where(solid, Label.INCONSISTENT, hull.labels), volume)
 

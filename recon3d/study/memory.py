@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 import gc
 import re
 import sys
@@ -10,6 +9,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+
+from recon3d.heap import give_back
 
 _SELF = Path("/proc/self")
 
@@ -48,9 +49,7 @@ def _reset() -> float | None:
     if not sys.platform.startswith("linux"):
         return None
     gc.collect()
-    libc = ctypes.CDLL(None)
-    if hasattr(libc, "malloc_trim"):  # glibc
-        libc.malloc_trim(0)
+    give_back()
     (_SELF / "clear_refs").write_text("5")
     return _status("VmRSS")
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from recon3d.errors import ArgumentError
+from recon3d.heap import give_back
 from recon3d.surface.extraction import mesh_shape
 from recon3d.surface.minimum_cut import graph_cut
 from recon3d.volume.carved import CarvedVolume
@@ -106,6 +107,7 @@ def mesh_points(
     middle = closed.get_axis_aligned_bounding_box().get_center()
     closed.translate(-middle)
     mesh, _ = o3d.geometry.TriangleMesh.create_from_point_cloud_poisson(closed, depth=depth, scale=_MARGIN, n_threads=1)
+    give_back()  # the octree
     mesh.vertex_colors = o3d.utility.Vector3dVector()  # black ones
     mesh.translate(middle)
     mesh.compute_vertex_normals()

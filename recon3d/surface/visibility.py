@@ -38,10 +38,10 @@ class VertexVisibility:
         vertices, normals = np.asarray(mesh.vertices), np.asarray(mesh.vertex_normals)
         # A vertex lies on triangles of its own, so its ray ends a little before it.
         ends = vertices + _CLEARANCE * scene.pixel_footprint * normals
-        views = scene.packed
-        seen = np.empty((len(views), len(vertices)), np.bool_)
-        facing_views(Vertices(vertices, normals), views.cameras, seen)
-        for row, center in zip(seen, views.cameras.centers, strict=True):
+        cameras = scene.cameras
+        seen = np.empty((len(scene.views), len(vertices)), np.bool_)
+        facing_views(Vertices(vertices, normals), cameras, seen)
+        for row, center in zip(seen, cameras.centers, strict=True):
             row[row] = ~caster.hidden(center, ends[row])
         return cls(seen)
 
