@@ -8,18 +8,26 @@ import numpy as np
 
 from recon3d.errors import ArgumentError
 
+_MOST = 2**53  # beyond it, doubles skip whole numbers
 
-def require_whole(name: str, value: object, least: int = 1, most: int | None = None) -> None:
-    """Refuse what is no whole number of at least so much, and at most so much where that is given.
+
+def require_whole(name: str, value: object, least: int = 1, most: int = _MOST) -> None:
+    """Refuse what is no whole number of at least so much, and at most so much.
 
     Raises
     ------
     ArgumentError : names the argument, what was expected, and what was got.
     """
-    if _is_number(value, (int, np.integer)) and least <= value and (most is None or value <= most):  # type: ignore[operator]
+    if _is_number(value, (int, np.integer)) and least <= value <= most:  # type: ignore[operator]
         return
-    expected = f"from {least} to {most}" if most is not None else f"of at least {least}"
-    raise ArgumentError(f"expected {name} to be a whole number {expected}, got {value!r}")
+    unbounded = most == _MOST and not (_is_number(value, (int, np.integer)) and value > most)  # type: ignore[operator]
+    expected = f"of at least {least}" if unbounded else f"from {least} to {most}"
+    raise ArgumentError(f"expected {name} to be a whole number {expected}, got {shorten(repr(value))}")
+
+
+def shorten(text: str, longest: int = 60) -> str:
+    """A text that is too long for a message, cut in its middle."""
+    return text if len(text) <= longest else f"{text[: longest - 23]}...{text[-20:]}"
 
 
 def require_number(name: str, value: object, interval: str) -> None:

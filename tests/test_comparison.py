@@ -13,13 +13,13 @@ import open3d as o3d
 import pytest
 
 import recon3d
-from recon3d.cli.arguments import sweep_of
+from recon3d.cli.arguments import keywords, sweep_of
 from recon3d.consistency import TESTS, Hysteresis, StandardDeviation
 from recon3d.consistency.deviation import Adaptive
 from recon3d.consistency.fuzzy import FuzzySingle
 from recon3d.consistency.spec import identity
 from recon3d.datasets import BuiltInScene
-from recon3d.errors import FailedTestError
+from recon3d.errors import ArgumentError, FailedTestError
 from recon3d.evaluation import measure_quality
 from recon3d.rendering.sheets import portrait
 from recon3d.scene import without_silhouettes
@@ -304,3 +304,20 @@ def test_a_sweep_on_the_command_line_holds_both_ends() -> None:
     for wrong in ("threshold", "threshold=1:2", "threshold=a:b:c", "=1:2:1", "threshold=2:1:1", "threshold=1:2:0"):
         with pytest.raises(ValueError, match="--sweep: expected NAME=LOW:HIGH:STEP"):
             sweep_of(wrong)
+
+
+@pytest.mark.parametrize("option", ["x=0:²:1", "x=0:1:nan", "x=0:1:-1", "x=0:1:1e-320", "x=0:{[]:1}:1", "=0:1:1",
+                                    f"x=0:1:{'-' * 5000}1"])  # fmt: skip
+def test_what_is_no_sweep_is_refused(option: str) -> None:
+    with pytest.raises(ArgumentError, match="--sweep: expected NAME=LOW:HIGH:STEP, got"):
+        sweep_of(option)
+
+
+def test_a_sweep_of_a_billion_values_is_refused() -> None:
+    with pytest.raises(ArgumentError, match="expected at most 10000 values, got 1000000000 by"):
+        sweep_of("x=0:1:1e-9")
+
+
+@pytest.mark.parametrize("text", ["{[]:1}", f"{'-' * 5000}1", "(" * 300, "1 +", "\0"])
+def test_an_option_that_is_no_literal_is_text(text: str) -> None:
+    assert keywords([f"a={text}"]) == {"a": text}

@@ -73,6 +73,7 @@ def test_every_method_copies_compares_hashes_pickles_and_records_itself(name: st
         ({"max_views": True}, "expected max_views to be a whole number of at least 1, got True"),
         ({"n_voxels": -5}, "expected n_voxels to be a whole number of at least 1, got -5"),
         ({"n_voxels": 1e6}, "expected n_voxels to be a whole number"),
+        ({"n_voxels": 10**400}, r"n_voxels to be a whole number from 1 to 9007199254740992, got 10{36}\.\.\.0{20}$"),
         ({"n_voxels": True}, "expected n_voxels to be a whole number"),
         ({"n_voxels": 1000, "voxel_size": 0.1}, "expected n_voxels or voxel_size, got both: 1000 and 0.1"),
         ({"voxel_size": float("nan")}, r"expected voxel_size to be a number in \(0, inf\), got nan"),

@@ -39,6 +39,12 @@ def assert_same_volume(a: CarvingVolume, b: CarvingVolume) -> None:
     np.testing.assert_array_equal(a.colors, b.colors)
 
 
+@pytest.mark.parametrize("voxel_size", [1e-300, 1e-10])
+def test_more_voxels_along_a_side_than_can_be_counted_are_refused(voxel_size: float) -> None:
+    with pytest.raises(VolumeTooLargeError, match="along the longest side of bounds of 1 x 2 x 3; expected a larger"):
+        CarvingVolume.enclosing(Bounds([0, 0, 0], [1, 2, 3]), voxel_size=voxel_size)
+
+
 def test_an_enclosing_volume_covers_the_bounds_and_is_centred_on_them() -> None:
     bounds = Bounds([-1, 2, 3], [0.5, 2.4, 3.77])
     volume = CarvingVolume.enclosing(bounds, voxel_size=0.1)

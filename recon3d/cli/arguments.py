@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from recon3d.checks import shorten
 from recon3d.errors import ArgumentError, DataError, SceneWarning
 
 if TYPE_CHECKING:  # Open3D takes seconds to import, --help should not
@@ -238,6 +239,12 @@ def names_of(option: str) -> tuple[str, ...]:
     return tuple(name.strip() for name in option.split(","))
 
 
+# What literal_eval raises, down to text that is nested too deeply for it.
+_NO_LITERAL = (ValueError, SyntaxError, TypeError, MemoryError, RecursionError)
+
+_MOST_SWEPT = 10_000  # values; each is a whole carving
+
+
 def keywords(options: list[str]) -> dict[str, Any]:
     """Keyword arguments of NAME=VALUE options; a value that is no Python literal is text."""
     values = {}
@@ -247,7 +254,7 @@ def keywords(options: list[str]) -> dict[str, Any]:
             raise ArgumentError(f"expected NAME=VALUE, got {option!r}")
         try:
             values[key] = ast.literal_eval(text)
-        except (ValueError, SyntaxError):
+        except _NO_LITERAL:
             values[key] = text
     return values
 
@@ -257,11 +264,14 @@ def sweep_of(option: str) -> tuple[str, list[float]]:
     name, _, text = option.partition("=")
     try:
         low, high, step = (ast.literal_eval(number) for number in text.split(":"))
-        values = [round(low + n * step, 12) for n in range(math.floor((high - low) / step + 1e-9) + 1)]
-    except (ValueError, SyntaxError, TypeError, ArithmeticError):
-        values = []
+        count = math.floor((high - low) / step + 1e-9) + 1
+        values = [round(low + n * step, 12) for n in range(min(count, _MOST_SWEPT))]
+    except (*_NO_LITERAL, ArithmeticError):
+        count, values = 0, []
     if not (name and values):
-        raise ArgumentError(f"--sweep: expected NAME=LOW:HIGH:STEP, got {option!r}")
+        raise ArgumentError(f"--sweep: expected NAME=LOW:HIGH:STEP, got {shorten(repr(option))}")
+    if count > _MOST_SWEPT:
+        raise ArgumentError(f"--sweep: expected at most {_MOST_SWEPT} values, got {count} by {option!r}")
     return name, values
 
 

@@ -23,6 +23,9 @@ BAND = 3.0
 """Voxels beside the surface within which distance fields are kept."""
 
 
+_LONGEST = 2**31  # voxels along a side, whose indices fit into 32 bits
+
+
 @dataclass(frozen=True, eq=False)
 class Lattice(ByContent):
     """Where voxels lie: voxel (i, j, k) spans ``origin + voxel_size * (i, j, k)`` to the same of (i+1, j+1, k+1)."""
@@ -51,7 +54,12 @@ class Lattice(ByContent):
         voxel_size: float | None = None,
         n_voxels: int | None = None,
     ) -> Lattice:
-        """Lattice centred on a box, from a voxel size in world units or an approximate number of voxels."""
+        """Lattice centred on a box, from a voxel size in world units or an approximate number of voxels.
+
+        Raises
+        ------
+        VolumeTooLargeError : a side has 2^31 voxels or more.
+        """
         bounds = Bounds.of(bounds)
         if (voxel_size is None) == (n_voxels is None):
             raise ArgumentError(f"expected either voxel_size or n_voxels, got {voxel_size} and {n_voxels}")
@@ -60,6 +68,11 @@ class Lattice(ByContent):
             voxel_size = float((bounds.extent.prod() / n_voxels) ** (1 / 3))
         require_number("voxel_size", voxel_size, "(0, inf)")
         shape = np.maximum(np.ceil(bounds.extent / voxel_size - 1e-6), 1)
+        if not (shape < _LONGEST).all():
+            raise VolumeTooLargeError(
+                f"voxels of {voxel_size:.4g} would be {shape.max():.3g} along the longest side of bounds of "
+                f"{' x '.join(f'{length:.4g}' for length in bounds.extent)}; expected a larger voxel size"
+            )
         nx, ny, nz = (int(n) for n in shape)
         return cls(bounds.center - shape * voxel_size / 2, voxel_size, (nx, ny, nz))
 
