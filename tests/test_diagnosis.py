@@ -10,10 +10,16 @@ import pytest
 from numpy.typing import NDArray
 from sfm_world import blocks, taken, world
 
+from recon3d.calibration.turntable import turntable_cameras
 from recon3d.datasets import little_temple
 from recon3d.datasets.synthetic import photograph
 from recon3d.diagnosis import Finding, check_scene, diagnose
+from recon3d.diagnosis.epipolar import Cameras
 from recon3d.diagnosis.figure import save_figure
+from recon3d.diagnosis.half_pixel import half_pixel_findings
+from recon3d.diagnosis.hypotheses import reordered
+from recon3d.diagnosis.matches import Matches
+from recon3d.diagnosis.order import assigned
 from recon3d.io import open_scene
 from recon3d.scene.bounds import Bounds
 from recon3d.scene.scene import NO_SILHOUETTES, Scene
@@ -142,6 +148,53 @@ def test_one_wrong_camera_is_named(scene: Scene) -> None:
     finding = only(replace(scene, views=tuple(views)))
     assert (finding.kind, finding.views) == ("one wrong camera", (views[5].name,))
     assert views[5].name in finding.message
+
+
+def test_a_camera_at_a_wrong_angle_of_the_ring_is_named(scene: Scene) -> None:
+    """Four degrees about the object, which it still looks at: no more than a few pixels from its epipolar lines."""
+    about = np.eye(4)
+    about[:3, :3] = cv2.Rodrigues(np.array([0.0, 0.0, np.radians(4)]))[0]
+    views = list(scene.views)
+    views[7] = View.from_matrices(views[7].K, views[7].cam_from_world @ about, views[7].photograph, name=views[7].name)
+    finding = only(replace(scene, views=tuple(views)))
+    assert (finding.kind, finding.views) == ("one wrong camera", (views[7].name,))
+
+
+def matched_ring(n: int, n_points: int) -> tuple[Matches, Cameras]:
+    """Matches, to 0.2 pixels, between each of n photographs and the next two, and their cameras at unequal steps."""
+    rng = np.random.default_rng(3)
+    K = np.array([[500.0, 0, 319.5], [0, 500.0, 239.5], [0, 0, 1]])
+    taken_by = turntable_cameras(K, np.cumsum(rng.uniform(6, 18, n)), 3.0, 1.0, 18.0)
+    poses = np.array([camera.cam_from_world for camera in taken_by])
+    points = np.column_stack([rng.uniform(-0.5, 0.5, (n_points, 3)), np.ones(n_points)])
+    homogeneous = np.einsum("ij,njk,pk->npi", K, poses[:, :3], points)
+    places = homogeneous[..., :2] / homogeneous[..., 2:] + rng.normal(0, 0.2, (n, n_points, 2))
+    pairs = np.array(sorted((min(a, b), max(a, b)) for a in range(n) for b in ((a + 1) % n, (a + 2) % n)))
+    both = np.concatenate([np.stack([places[a], places[b]], axis=1) for a, b in pairs])
+    cameras = Cameras(
+        np.tile(K, (n, 1, 1)), poses, np.tile([640.0, 480.0], (n, 1)), np.tile(np.diag([0.75, 0.75, 1.0]), (n, 1, 1))
+    )
+    cameras.reduced[:, :2, 2] = (0.75 - 1) / 2
+    return Matches(pairs, np.repeat(np.arange(len(pairs)), n_points), 0.75 * both + (0.75 - 1) / 2), cameras
+
+
+def test_half_a_pixel_is_told() -> None:
+    matches, right = matched_ring(12, 400)
+    assert half_pixel_findings(matches, right) == []
+    for sign, advice in ((1, "Subtract 0.5 from cx and cy."), (-1, "Add 0.5 to cx and cy.")):
+        K = right.K.copy()
+        K[:, :2, 2] += 0.5 * sign
+        (finding,) = half_pixel_findings(matches, right._replace(K=K))
+        assert (finding.kind, finding.advice) == ("half pixel", advice)
+        K[:, 0, 2] -= sign  # off in one direction and the other: that is no convention
+        assert half_pixel_findings(matches, right._replace(K=K)) == []
+
+
+def test_any_order_of_many_photographs_is_found() -> None:
+    matches, right = matched_ring(20, 24)
+    shuffled = np.random.default_rng(0).permutation(20)
+    order = assigned(matches, reordered(right, shuffled))
+    np.testing.assert_array_equal(shuffled[order], np.arange(20))
 
 
 def test_a_turntable_that_turned_the_other_way_is_told(scene: Scene) -> None:

@@ -68,15 +68,11 @@ def agreement(matches: Matches, cameras: Cameras) -> Agreement:
     M, p = _projections(cameras)
     back = np.linalg.inv(M)
     a, b = matches.pairs.T
-    H = M[b] @ back[a]
-    e = p[b] - np.einsum("nij,nj->ni", H, p[a])
-    F = np.cross(e[:, None, :], H.transpose(0, 2, 1)).transpose(0, 2, 1)  # [e]x H, column by column
     x = np.concatenate([matches.places, np.ones((*matches.places.shape[:2], 1))], axis=2)
     of = matches.pair
-    lines_b, lines_a = np.einsum("nij,nj->ni", F[of], x[:, 0]), np.einsum("nij,ni->nj", F[of], x[:, 1])
-    value = np.abs(np.einsum("ni,ni->n", x[:, 1], lines_b))
+    value, *across = _algebraic(matches, cameras)
     with np.errstate(divide="ignore", invalid="ignore"):
-        distance = 0.5 * sum(value / np.linalg.norm(lines[:, :2], axis=1) for lines in (lines_a, lines_b))
+        distance = 0.5 * sum(np.abs(value) / length for length in across)
     distance = np.nan_to_num(distance, nan=1e6, posinf=1e6)
 
     centers = -np.einsum("nij,nj->ni", back, p)
@@ -89,6 +85,33 @@ def agreement(matches: Matches, cameras: Cameras) -> Agreement:
     return Agreement(
         np.array([np.median(distance[part]) for part in parts]), np.array([before[part].mean() for part in parts])
     )
+
+
+def sampson_distances(matches: Matches, cameras: Cameras) -> NDArray[np.float64]:
+    """(n,) signed distances of matches from their epipolar lines, to first order, reduced pixels.
+
+    References
+    ----------
+    Hartley, Zisserman, "Multiple View Geometry in Computer Vision", 2004, equation 11.9.
+    """
+    value, length_a, length_b = _algebraic(matches, cameras)
+    return value / np.maximum(np.hypot(length_a, length_b), 1e-300)
+
+
+def _algebraic(
+    matches: Matches, cameras: Cameras
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """(n,) x' F x of each match, and the lengths of the normals of its epipolar lines in both photographs."""
+    M, p = _projections(cameras)
+    a, b = matches.pairs.T
+    H = M[b] @ np.linalg.inv(M)[a]
+    e = p[b] - np.einsum("nij,nj->ni", H, p[a])
+    F = np.cross(e[:, None, :], H.transpose(0, 2, 1)).transpose(0, 2, 1)  # [e]x H, column by column
+    x = np.concatenate([matches.places, np.ones((*matches.places.shape[:2], 1))], axis=2)
+    of = matches.pair
+    lines_b, lines_a = np.einsum("nij,nj->ni", F[of], x[:, 0]), np.einsum("nij,ni->nj", F[of], x[:, 1])
+    value = np.einsum("ni,ni->n", x[:, 1], lines_b)
+    return value, np.linalg.norm(lines_a[:, :2], axis=1), np.linalg.norm(lines_b[:, :2], axis=1)
 
 
 def _projections(cameras: Cameras) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -64,7 +64,9 @@ class Picture:
         mask = None if inverted else mask
         grey = np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), np.uint8)
         within = None if mask is None else mask.astype(np.uint8)
-        found, descriptors = cv2.SIFT.create(nfeatures=_FEATURES, contrastThreshold=0.02).detectAndCompute(grey, within)
+        found, descriptors = cv2.SIFT.create(
+            nfeatures=_FEATURES, contrastThreshold=0.02, enable_precise_upscale=True
+        ).detectAndCompute(grey, within)
         descriptors = np.zeros((0, 128), np.float32) if descriptors is None else np.asarray(descriptors, np.float32)
         order = np.argsort([-point.response for point in found], kind="stable")
         places = np.array([point.pt for point in found], np.float64).reshape(-1, 2)[order]
