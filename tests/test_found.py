@@ -21,6 +21,7 @@ from recon3d.datasets.synthetic import BuiltInScene
 from recon3d.errors import ArgumentError, DataError, SceneError
 from recon3d.io import open_scene, write_middlebury
 from recon3d.io.files import write_image
+from recon3d.io.reading import find_image
 from recon3d.scene.bounds import Bounds
 from recon3d.scene.enclosing import enclosing_box, looked_at, silhouettes_explained
 from recon3d.scene.image_file import ImageFile, read_image
@@ -465,3 +466,17 @@ def test_before_a_background_of_many_colors_no_silhouettes_are_made(temple: Buil
     assert not any(view.has_silhouette for view in open_scene(folder).views)
     with pytest.raises(SceneError, match=r"not dark, nor of one color\? For that give silhouettes"):
         open_scene(folder, silhouettes="segmented")
+
+
+@pytest.mark.parametrize("name", ["../secret.png", "a/../../secret.png", r"..\secret.png", "../elsewhere/secret.png"])
+def test_a_photograph_outside_its_scene_is_not_opened_by_its_name(tmp_path: Path, name: str) -> None:
+    outside, scene = tmp_path / "secret.png", tmp_path / "scene"
+    scene.mkdir()
+    for path in (outside, tmp_path / "elsewhere" / "secret.png"):
+        write_image(path, np.zeros((2, 2, 3), np.uint8))
+    for written in (name, str(outside)):
+        assert find_image(scene, written) is None
+    # One of that name in the scene is taken, as of a path on another computer.
+    write_image(scene / "secret.png", np.zeros((2, 2, 3), np.uint8))
+    for written in (name, str(outside)):
+        assert find_image(scene, written) == scene / "secret.png"

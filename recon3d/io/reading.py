@@ -5,6 +5,7 @@ from __future__ import annotations
 import codecs
 import json
 import os
+import posixpath
 import re
 import warnings
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
@@ -115,11 +116,12 @@ def natural(name: str) -> list[tuple[int, str]]:
 def find_image(folder: Path, name: str) -> Path | None:
     r"""A photograph by a name as people write it.
 
-    That is with \ for /, without its ending, in another case, or by a path on the computer that calibrated it.
+    That is with \ for /, without its ending, in another case, or by a path on the computer that calibrated it. It lies
+    in the folder or below, whatever its name says: a scene is data, and may be a stranger's.
     """
-    plain = re.sub(r"\\+", "/", name.strip())
-    if plain.startswith("/") or re.match(r"[A-Za-z]:/", plain):
-        parts = plain.split("/")[1:]
+    plain = posixpath.normpath(re.sub(r"\\+", "/", name.strip()))
+    if plain.startswith(("/", "../")) or re.match(r"[A-Za-z]:/", plain):
+        parts = [part for part in plain.split("/")[1:] if part != ".."]
         tails = ("/".join(parts[n:]) for n in range(len(parts)))
         return next((there for tail in tails if tail and (there := find_image(folder, tail))), None)
     path = folder / plain
