@@ -41,14 +41,14 @@ class Scratch:
         NoRoomError : the file cannot grow.
         """
         arrays = {each.name: getattr(value, each.name) for each in fields(value)}
-        places = {name: self._write(array) for name, array in arrays.items() if isinstance(array, np.ndarray)}
+        places = {name: self.write(array) for name, array in arrays.items() if isinstance(array, np.ndarray)}
         return Stored(self, replace(value, **dict.fromkeys(places)), places)
 
-    def _write(self, array: NDArray[Any]) -> _Place:
-        """Append an array."""
+    def write(self, array: NDArray[Any]) -> Place:
+        """Append an array, of any shape."""
         content = np.ascontiguousarray(array).reshape(-1).view(np.uint8).data
         with self._lock:
-            place = _Place(self._end, array.shape, array.dtype)
+            place = Place(self._end, array.shape, array.dtype)
             try:
                 self._file.seek(place.start)
                 written = 0
@@ -62,7 +62,7 @@ class Scratch:
             self._end += -(-array.nbytes // mmap.ALLOCATIONGRANULARITY) * mmap.ALLOCATIONGRANULARITY
         return place
 
-    def read(self, place: _Place) -> NDArray[Any]:
+    def read(self, place: Place) -> NDArray[Any]:
         """Read-only array of a place, of any shape, mapped for as long as it is used."""
         size = int(np.prod(place.shape)) * place.kind.itemsize
         if not size:
@@ -71,7 +71,7 @@ class Scratch:
         return np.frombuffer(mapped, place.kind).reshape(place.shape)
 
 
-class _Place(NamedTuple):
+class Place(NamedTuple):
     """Where in the file an array lies."""
 
     start: int
@@ -86,11 +86,16 @@ class Stored(Generic[T]):
 
     _scratch: Scratch
     _rest: T
-    _places: dict[str, _Place]
+    _places: dict[str, Place]
 
     def read(self) -> T:
         """The value, whose arrays are read-only and mapped for as long as they are used."""
         return replace(self._rest, **{name: self._scratch.read(place) for name, place in self._places.items()})
+
+    def with_changed(self, **arrays: NDArray[Any]) -> Stored[T]:
+        """The value with other arrays of any shape, by the names of their fields; the rest is not written again."""
+        places = {name: self._scratch.write(array) for name, array in arrays.items()}
+        return replace(self, _places=self._places | places)
 
     def __reduce__(self) -> tuple[Callable[[T], T], tuple[T]]:
         return load, (self.read(),)

@@ -17,7 +17,7 @@ import pytest
 
 import recon3d
 from recon3d import cli
-from recon3d.cli.arguments import plain_photographs, record_of
+from recon3d.cli.arguments import plain_photographs, record_of, recorded_scene
 from recon3d.datasets import BuiltInScene
 from recon3d.io import read_support, write_middlebury
 from recon3d.io.files import write_image
@@ -235,6 +235,8 @@ def test_tests_are_compared_swept_and_written(photographs: Path, temple: BuiltIn
             ["reconstruct", "PHOTOGRAPHS", "--views", "all", "--max-views", "3"],
             "expected views 'auto' with max_views=3",
         ),
+        (["reconstruct", "PHOTOGRAPHS", "--detail", "eighth"], "--detail: expected auto, full, half, quarter, got"),
+        (["reconstruct", "PHOTOGRAPHS", "--memory", "64MiB"], "would be needed at quarter detail, and 0.1 GiB may be"),
         (["demo", "--noise", "nan"], "expected 0 <= noise < 256"),
         (["render", str(Path(__file__).parent)], "expected the folder of a result"),
         (["evaluate", "nowhere.ply", "nowhere.ply"], "nowhere.ply: no such file"),
@@ -338,6 +340,16 @@ def test_a_result_is_rendered_and_measured_with_what_its_record_says(
     run("evaluate", tmp_path / "out", truth)
     figures = json.loads((tmp_path / "out" / "evaluation" / "evaluation.json").read_text())
     assert figures["accuracy_mm"] < 0.2  # in units of a tenth of a metre's thousandth: 100 times less than in metres
+
+
+def test_a_result_is_of_the_photographs_at_the_recorded_detail(result: Path, tmp_path: Path) -> None:
+    record = json.loads((result / "record.json").read_text())
+    widths = {}
+    for detail in ("full", "half", "unheard of"):
+        changed = {**record, "scene": {**record["scene"], "detail": detail}}
+        (tmp_path / "record.json").write_text(json.dumps(changed))
+        widths[detail] = recorded_scene(tmp_path, record_of(tmp_path)).views[0].width
+    assert widths["full"] == 2 * widths["half"] == widths["unheard of"]
 
 
 def test_two_units_are_told_from_a_bad_result(temple: BuiltInScene, result: Path, tmp_path: Path) -> None:

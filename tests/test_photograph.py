@@ -55,6 +55,18 @@ def test_a_pixel_of_a_smaller_photograph_is_the_mean_of_what_it_covers(tmp_path:
     assert photograph.read(0.3).shape == (7, 10, 3)
 
 
+@pytest.mark.parametrize("in_memory", [True, False])
+def test_a_shrunk_photograph_has_the_pixels_of_a_smaller_scale(tmp_path: Path, in_memory: bool) -> None:
+    photograph = Photograph(noise() if in_memory else write_image(tmp_path / "a.png", noise()))
+    shrunk = photograph.shrunk(16, 12)
+    assert shrunk.size == (16, 12)
+    np.testing.assert_array_equal(shrunk.read(), photograph.read(0.5))
+    np.testing.assert_allclose(shrunk.read(0.5), shrunk.shrunk(8, 6).read().astype(float), atol=1)  # rounded twice
+    assert shrunk.read() is shrunk.read()
+    assert len({photograph.fingerprint(), shrunk.fingerprint(), photograph.shrunk(8, 6).fingerprint()}) == 3
+    assert pickle.loads(pickle.dumps(shrunk)) == shrunk != photograph  # noqa: S301 # our own
+
+
 def test_a_file_that_is_written_again_is_read_again(tmp_path: Path) -> None:
     photograph = Photograph(write_image(tmp_path / "a.png", noise()))
     before = photograph.fingerprint()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import json
 import math
+import re
 import sys
 import tempfile
 import warnings
@@ -12,7 +13,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast, get_args
 
 import typer
 
@@ -22,6 +23,7 @@ from recon3d.errors import ArgumentError, DataError, SceneWarning
 if TYPE_CHECKING:  # Open3D takes seconds to import, --help should not
     import open3d as o3d
 
+    from recon3d.budget import Chosen
     from recon3d.calibration import Calibration
     from recon3d.carving import Method
     from recon3d.consistency.base import ConsistencyTest
@@ -62,6 +64,28 @@ def load(
         loaded = open_scene(scene, bounds=box, silhouettes=silhouettes, mm_per_unit=mm_per_unit, images=images)
         report("reading", 1, 1)
     return loaded
+
+
+def at_detail(scene: Scene, detail: str, memory: str | None, settings: Settings | None = None) -> Chosen:
+    """The scene at a level of detail, within a memory where one is given, and what to tell of it."""
+    from recon3d import budget
+    from recon3d.scene.pixel_cache import PIXELS
+
+    if detail not in get_args(budget.Detail):
+        raise ArgumentError(f"--detail: expected {', '.join(get_args(budget.Detail))}, got {detail!r}")
+    limit = None if memory is None else bytes_of(memory)
+    PIXELS.limit = min(PIXELS.limit, int(limit or budget.MOST_MEMORY) // 8)
+    return budget.at_detail(scene, cast(budget.Detail, detail), settings=settings, memory=limit)
+
+
+def bytes_of(text: str) -> float:
+    """Bytes of a size such as 4GiB, 800 MB or 4G."""
+    found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([kMGT])(i?)B?\s*", text)
+    if not found or not float(found[1]):
+        raise ArgumentError(f"--memory: expected a size such as 4GiB or 800MB, got {text!r}")
+    decimal = not found[3] and text.rstrip().endswith("B")
+    base = 1000.0 if decimal else 1024.0
+    return float(found[1]) * base ** (1 + "kMGT".index(found[2]))
 
 
 def plain_photographs(scene: str) -> Path | None:
@@ -301,6 +325,7 @@ def record_of(result: Path) -> dict[str, Any] | None:
             "source": None if scene.get("source") is None else str(scene["source"]),
             "silhouettes": str(scene.get("silhouettes from", "auto")),
             "images": scene.get("images from"),
+            "detail": str(scene.get("detail", "full")),
             "settings": record.get("settings"),
             "voxels": dict(record.get("voxels") or {}),
         }
@@ -310,6 +335,7 @@ def record_of(result: Path) -> dict[str, Any] | None:
 
 def recorded_scene(result: Path, record: dict[str, Any] | None, *, silhouettes: str = "none", hint: str = "") -> Scene:
     """The scene that a result was made of, with the views that were used; a hint ends the error that none is known."""
+    from recon3d.budget import SCALES
     from recon3d.datasets.synthetic import SCENES
     from recon3d.io.refined_cameras import with_refined_cameras
 
@@ -317,6 +343,7 @@ def recorded_scene(result: Path, record: dict[str, Any] | None, *, silhouettes: 
         raise DataError(f"{result}: no record says which scene this was made of{hint}")
     box = None if record["source"] in SCENES else ",".join(map(str, record["bounds"]))
     given = load(record["source"], box, silhouettes, record["mm_per_unit"], record["images"])
+    given = given.shrunk(SCALES.get(record["detail"], 1.0))
     folder = result if result.is_dir() else result.parent
     scene = with_refined_cameras(folder, given, of_views=False) or given
     return scene.subset(record["views"])

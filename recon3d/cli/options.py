@@ -101,6 +101,27 @@ Images = Annotated[
 ]
 
 
+Detail = Annotated[
+    str,
+    typer.Option(
+        metavar="auto|full|half|quarter",
+        help="Scale at which photographs are read; auto: the finest that keeps within the memory and ten CPU minutes.",
+        rich_help_panel=INPUT,
+    ),
+]
+
+
+Memory = Annotated[
+    str | None,
+    typer.Option(
+        metavar="SIZE",
+        help="Memory that a run may take, such as 4GiB or 800MB; what would take more is refused.",
+        show_default="for --detail auto 4GiB, or half of the machine's",
+        rich_help_panel=INPUT,
+    ),
+]
+
+
 MmPerUnit = Annotated[
     float | None,
     typer.Option(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import cv2
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recon3d.errors import ArgumentError
-from recon3d.scene.camera import Camera
+from recon3d.scene.camera import Camera, scaled_size
 from recon3d.scene.image_file import ImageFile
 from recon3d.scene.photograph import array_fingerprint
 from recon3d.scene.pixel_cache import PIXELS
@@ -38,6 +38,10 @@ class Mask(ABC):
     @abstractmethod
     def fingerprint(self) -> str:
         """Text that two masks share only where they are the same."""
+
+    @abstractmethod
+    def shrunk(self, scale: float) -> Mask:
+        """The mask of the photograph at a scale below 1."""
 
     @staticmethod
     def of(source: Mask | Path | str | NDArray[np.bool_]) -> Mask:
@@ -66,6 +70,11 @@ class ArrayMask(ByContent, Mask):
     def size(self) -> tuple[int, int]:
         """Width and height."""
         return self.shape[1], self.shape[0]
+
+    def shrunk(self, scale: float) -> ArrayMask:
+        """The mask of the photograph at a scale; a pixel is object where more than half of what it covers is."""
+        values = 255 * self.unpacked().view(np.uint8)
+        return ArrayMask(cv2.resize(values, scaled_size(*self.size, scale), interpolation=cv2.INTER_AREA) > _MIDDLE)
 
     def unpacked(self) -> NDArray[np.bool_]:
         """(height, width), as it was given."""
@@ -102,6 +111,10 @@ class FileMask(Mask):
     def size(self) -> tuple[int, int]:
         """Width and height."""
         return self.of_size or self.file.size
+
+    def shrunk(self, scale: float) -> FileMask:
+        """The mask of the photograph at a scale."""
+        return replace(self, of_size=scaled_size(*self.size, scale))
 
     def read(self, camera: Camera) -> NDArray[np.bool_]:
         """(height, width) the pixels brighter than half, undistorted."""

@@ -35,8 +35,16 @@ class Photograph(ByContent):
 
     source: ImageFile | NDArray[np.uint8] = field(repr=False)
     """File, or (height, width, 3) RGB."""
+    of_size: tuple[int, int] | None = None
+    """Width and height that it is shrunk to, each pixel being the mean of what it covers; the source's when None."""
 
-    def __init__(self, source: Path | str | ImageFile | NDArray[np.uint8], *, stored_orientation: bool = False) -> None:
+    def __init__(
+        self,
+        source: Path | str | ImageFile | NDArray[np.uint8],
+        of_size: tuple[int, int] | None = None,
+        *,
+        stored_orientation: bool = False,
+    ) -> None:
         if isinstance(source, (str, Path)):
             source = ImageFile(Path(source), stored_orientation)
         if isinstance(source, np.ndarray):
@@ -47,6 +55,7 @@ class Photograph(ByContent):
             source = source.view()
             source.setflags(write=False)
         object.__setattr__(self, "source", source)
+        object.__setattr__(self, "of_size", of_size)
         self._identify()
 
     def __setstate__(self, state: dict[str, object]) -> None:
@@ -65,9 +74,17 @@ class Photograph(ByContent):
     @property
     def size(self) -> tuple[int, int]:
         """Width and height; reads no pixels."""
+        return self.of_size or self._source_size
+
+    @property
+    def _source_size(self) -> tuple[int, int]:
         if isinstance(self.source, ImageFile):
             return self.source.size
         return self.source.shape[1], self.source.shape[0]
+
+    def shrunk(self, width: int, height: int) -> Photograph:
+        """The same photograph of fewer pixels, each the mean of what it covers."""
+        return Photograph(self.source, (width, height))
 
     def read(self, scale: float = 1.0, *, camera: Camera | None = None) -> NDArray[np.uint8]:
         """(height, width, 3) RGB, read-only; below a scale of one each pixel is the mean of what it covers.
@@ -78,12 +95,14 @@ class Photograph(ByContent):
         """
         size = scaled_size(*self.size, scale)
         distorted = camera is not None and bool(camera.distortion)
-        if isinstance(self.source, np.ndarray) and size == self.size and not distorted:
+        if isinstance(self.source, np.ndarray) and size == self._source_size and not distorted:
             return self.source
-        key = ("photograph", self._version(), camera if distorted else None)
+        key = ("photograph", self._version(), self.of_size, camera if distorted else None)
 
         def whole() -> NDArray[np.uint8]:
             stored = self.source.decode() if isinstance(self.source, ImageFile) else self.source
+            if self.size != self._source_size:
+                stored = np.asarray(cv2.resize(stored, self.size, interpolation=cv2.INTER_AREA), np.uint8)
             return camera.undistorted(stored) if camera is not None else stored
 
         def smaller() -> NDArray[np.uint8]:
@@ -94,9 +113,8 @@ class Photograph(ByContent):
 
     def fingerprint(self) -> str:
         """Text that two photographs share only where they are the same, from the file's bytes or the array."""
-        if isinstance(self.source, ImageFile):
-            return self.source.fingerprint()
-        return array_fingerprint(self.source)
+        of_source = self.source.fingerprint() if isinstance(self.source, ImageFile) else array_fingerprint(self.source)
+        return of_source if self.of_size is None else f"{of_source} of {self.of_size}"
 
     def _version(self) -> object:
         return self.source.version() if isinstance(self.source, ImageFile) else vars(self)["_serial"]

@@ -140,6 +140,10 @@ class Scene(ByContent, Summarised):
             chosen.update(found)
         return replace(self, views=tuple(view for view in self.views if view.name in chosen))
 
+    def shrunk(self, scale: float) -> Scene:
+        """The same scene of photographs at a scale of at most 1: cameras, pixels and masks."""
+        return self if scale == 1 else replace(self, views=tuple(view.shrunk(scale) for view in self.views))
+
     def fingerprint(self) -> str:
         """Text that two scenes share only where views, silhouettes, bounds and unit are the same, to the last bit.
 

@@ -171,6 +171,10 @@ class _Threshold(ComputedMask):
     def size(self) -> tuple[int, int]:
         return self.view.width, self.view.height
 
+    def shrunk(self, scale: float) -> _Threshold:
+        """The mask that is made of the photograph at a scale."""
+        return replace(self, view=self.view.shrunk(scale))
+
     def compute(self) -> NDArray[np.bool_]:
         grown = cv2.dilate(foreground(self.view.image, self.level).astype(np.uint8), _disc(self.dilate))
         # OpenCV's border value for erosion is the largest one, so a silhouette that leaves the image stays attached.
@@ -192,6 +196,7 @@ class _Background(ByContent):
         default_factory=Once, init=False, repr=False, compare=False
     )
     _fingerprint: Once[str] = field(default_factory=Once, init=False, repr=False, compare=False)
+    _shrunk: dict[float, Once[_Background]] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def __hash__(self) -> int:
         return hash((len(self.views), self.bounds))  # every view's mask asks for it
@@ -205,6 +210,11 @@ class _Background(ByContent):
     def level(self) -> float:
         """Fraction of white that 99% of its pixels do not differ by from the color."""
         return self._found.get(self._find)[1]
+
+    def shrunk(self, scale: float) -> _Background:
+        """That of the views at a scale; one for all views' masks."""
+        made = self._shrunk.setdefault(scale, Once())
+        return made.get(lambda: _Background(tuple(view.shrunk(scale) for view in self.views), self.bounds))
 
     def _find(self) -> tuple[tuple[int, int, int], float]:
         with ThreadPoolExecutor(cpu_count()) as pool:  # OpenCV and numpy release the interpreter lock
@@ -244,6 +254,10 @@ class _Segmented(ComputedMask):
     @property
     def size(self) -> tuple[int, int]:
         return self.view.width, self.view.height
+
+    def shrunk(self, scale: float) -> _Segmented:
+        """The mask that is made of the photographs at a scale."""
+        return _Segmented(self.view.shrunk(scale), self.background.shrunk(scale))
 
     def compute(self) -> NDArray[np.bool_]:
         level, color = self.background.level, self.background.color

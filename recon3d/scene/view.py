@@ -146,6 +146,17 @@ class View(ByContent, Summarised):
         share = cv2.resize(whole.astype(np.float32), (camera.width, camera.height), interpolation=cv2.INTER_AREA)
         return np.asarray(share > 1e-6)
 
+    def shrunk(self, scale: float) -> View:
+        """The view of the photograph at a scale of at most 1, its width and height rounded to whole pixels.
+
+        Pixels of the photograph are the means of what they cover, and K keeps each on its ray.
+        """
+        camera = self.calibration.at(scale)
+        if camera is self.calibration:
+            return self
+        mask = None if self.mask is None else self.mask.shrunk(scale)
+        return View(camera, self.photograph.shrunk(camera.width, camera.height), mask, self.name)
+
     @property
     def height(self) -> int:
         """Rows."""

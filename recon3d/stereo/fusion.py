@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -77,9 +77,9 @@ def fuse(scene: Scene, depth_maps: Sequence[DepthMap | Stored[DepthMap]], matchi
     n_matched = sum(int(np.count_nonzero(each.read().weights)) for each in maps)
     agreement = Agreement(_TOLERANCE * scene.pixel_footprint, float(np.cos(np.radians(_MAX_ANGLE))))
     asked = overlapping_neighbours(scene)
-    means = partial(_means, scene, scene.cameras, stride=matching.stride, asked=asked, agreement=agreement)
+    means = partial(_means, scene.cameras, stride=matching.stride, asked=asked, agreement=agreement)
     confirmed = [np.where(means(maps, n).agreeing > 0, maps[n].read().weights, np.float32(0)) for n in range(len(maps))]
-    maps = [scratch.keep(replace(each.read(), weights=weights)) for each, weights in zip(maps, confirmed, strict=True)]
+    maps = [each.with_changed(weights=weights) for each, weights in zip(maps, confirmed, strict=True)]
     parts, depths = [], []
     for n, each in enumerate(maps):
         own, found = each.read(), means(maps, n)
@@ -102,6 +102,7 @@ def fuse(scene: Scene, depth_maps: Sequence[DepthMap | Stored[DepthMap]], matchi
 class _Weighed:
     """A view's planes as kernels read them."""
 
+    image: NDArray[np.uint8]
     planes: NDArray[np.float32]
     normals: NDArray[np.float32]
     weights: NDArray[np.float32]
@@ -110,11 +111,10 @@ class _Weighed:
 def _weighed(view: View, depth_map: DepthMap, matching: Matching) -> _Weighed:
     """A view's planes, whose matches weigh NCC^2."""
     weights = np.where(depth_map.costs <= matching.max_cost, np.square(1 - depth_map.costs), 0).astype(np.float32)
-    return _Weighed(depth_map.planes, plane_normals(view, depth_map.planes, matching.stride), weights)
+    return _Weighed(view.image, depth_map.planes, plane_normals(view, depth_map.planes, matching.stride), weights)
 
 
 def _means(
-    scene: Scene,
     cameras: Cameras,
     maps: Sequence[Stored[_Weighed]],
     n: int,
@@ -127,8 +127,7 @@ def _means(
 
     def view(number: int) -> PlaneView:
         read = maps[number].read()
-        image = scene.views[number].image
-        return PlaneView(cameras.at(number), image, PlaneMap(read.planes, read.normals, read.weights, stride))
+        return PlaneView(cameras.at(number), read.image, PlaneMap(read.planes, read.normals, read.weights, stride))
 
     own = view(n)
     means = Means.none(*own.map.weights.shape)

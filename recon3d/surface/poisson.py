@@ -101,7 +101,7 @@ def mesh_points(
     spacing = spacing or hull.volume.voxel_size / 2
     closed = _closed_by_hull(points, hull, measured or MeasuredSpace(points, spacing))
     extent = float(max(closed.get_max_bound() - closed.get_min_bound()))
-    depth = max(round(np.log2(_MARGIN * extent / spacing)), 1)
+    depth = octree_depth(extent, spacing)
     # Poisson computes in single precision, so far from the origin it would lose the surface; on more threads than one,
     # which are hardly faster, its vertices come in another order every time.
     middle = closed.get_axis_aligned_bounding_box().get_center()
@@ -112,6 +112,11 @@ def mesh_points(
     mesh.translate(middle)
     mesh.compute_vertex_normals()
     return mesh
+
+
+def octree_depth(extent: float, spacing: float) -> int:
+    """Depth of the octree around something of an extent whose cells are about as large as a spacing."""
+    return max(round(float(np.log2(_MARGIN * extent / spacing))), 1)
 
 
 def _closed_by_hull(

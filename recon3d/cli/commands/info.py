@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from recon3d.cli import options
-from recon3d.cli.arguments import doubts, load, say, warn_of_doubts
+from recon3d.cli.arguments import at_detail, doubts, load, say, warn_of_doubts
 from recon3d.errors import Recon3dError
 
 if TYPE_CHECKING:
@@ -31,6 +31,8 @@ def command(
     silhouettes: options.Silhouettes = "auto",
     images: options.Images = None,
     mm_per_unit: options.MmPerUnit = None,
+    detail: options.Detail = "auto",
+    memory: options.Memory = None,
 ) -> None:
     """Check a scene: what it holds, what is wrong with it, its views in a table; --output and --figure draw it.
 
@@ -44,8 +46,10 @@ def command(
         except Recon3dError:
             _tell_of_refused(scene, images, figure)
             raise
+        chosen = at_detail(loaded, detail, memory)
+    loaded = chosen.scene
     diagnosis = diagnose(loaded)
-    say(loaded.summary())
+    say({**loaded.summary(), "detail": chosen.told})
     _tell_of_views(loaded, diagnosis, Path(scene))
     warn_of_doubts(doubted, diagnosis.findings)
     _tell_of_findings(diagnosis, figure, wrong=bool(doubted))

@@ -11,6 +11,7 @@ import typer
 
 from recon3d.cli import options
 from recon3d.cli.arguments import (
+    at_detail,
     calibrated,
     doubts,
     load,
@@ -73,6 +74,8 @@ def command(
     turntable: options.Turntable = None,
     known_distance: options.KnownDistance = None,
     mm_per_unit: options.MmPerUnit = None,
+    detail: options.Detail = "auto",
+    memory: options.Memory = None,
     n_voxels: Annotated[
         int | None,
         typer.Option("--voxels", help="Approximate number of voxels.", show_default="1000000", rich_help_panel=CARVING),
@@ -179,6 +182,8 @@ def command(
         with doubts() as doubted:
             loaded = load(scene, bounds, silhouettes, mm_per_unit, images)
         folder = writable(output or Path("recon3d-output") / loaded.name)
+    chosen = at_detail(loaded, detail, memory, settings)
+    loaded = chosen.scene
     if refine_cameras:
         loaded = with_adjusted_cameras(loaded, folder)
     else:
@@ -186,7 +191,7 @@ def command(
     warn_of_findings(loaded, doubted)
     result = run(loaded, settings, truth, folder / "stages")
     written = save(result, folder, [name.value for name in mesh_format or [_MeshFormat.ply]], pictures=pictures)
-    say(result.summary())
+    say({**result.summary(), "detail": chosen.told})
     say(written)
     if doubt := result.doubt():
         warnings.warn(f"{loaded.name}: {doubt}", stacklevel=1)
