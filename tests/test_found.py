@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import re
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -16,6 +18,8 @@ from PIL import Image
 from scenes import plain_view
 from typer.testing import CliRunner
 
+from recon3d.calibration import photographs
+from recon3d.calibration.photographs import find_photographs
 from recon3d.cli.entry import app
 from recon3d.datasets.synthetic import BuiltInScene
 from recon3d.errors import ArgumentError, DataError, SceneError
@@ -431,8 +435,28 @@ def test_image_kinds_are_read_right_or_refused_with_the_reason(tmp_path: Path) -
     with pytest.raises(DataError, match=r"lab\.tif: expected RGB, CMYK or grey, got the colour space LAB"):
         read_image(tmp_path / "lab.tif")
     (tmp_path / "a.heic").write_bytes(b"\0\0\0\x18ftypheic")
-    with pytest.raises(DataError, match=r"a\.heic: not a readable image; save it as PNG or JPEG"):
+    with pytest.raises(
+        DataError, match=r"a\.heic: a HEIC photograph; pip install 'recon3d\[heic\]' reads it; or convert it"
+    ):
         read_image(tmp_path / "a.heic")
+
+
+def test_heic_is_read_where_its_package_is_installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The package is stood in for: Pillow tells a file's kind by its content, and this one's is PNG."""
+    image = np.random.default_rng(0).integers(0, 255, (6, 9, 3), dtype=np.uint8)
+    write_image(tmp_path / "one.png", image).rename(tmp_path / "one.HEIC")
+    monkeypatch.setitem(sys.modules, "pi_heif", None)
+    monkeypatch.setattr(photographs, "reads_heic", lambda: False)
+    with pytest.raises(DataError, match=r"found none; one\.HEIC: .*pip install 'recon3d\[heic\]'"):
+        find_photographs(tmp_path)
+    registered: list[str] = []
+    package = SimpleNamespace(register_heif_opener=lambda: registered.append("opener"))
+    monkeypatch.setitem(sys.modules, "pi_heif", package)
+    monkeypatch.setattr(photographs, "reads_heic", lambda: True)
+    (photograph,) = find_photographs(tmp_path)
+    assert (photograph.width, photograph.height, bool(registered)) == (9, 6, True)
+    np.testing.assert_array_equal(read_image(photograph.path), image)
+    assert ImageFile(photograph.path).decode(grey=True).shape == (6, 9)
 
 
 @pytest.mark.parametrize("color", [(30, 60, 200), (245, 245, 245), (0, 177, 64), (120, 120, 120)])

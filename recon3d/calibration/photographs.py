@@ -13,11 +13,13 @@ from PIL import ExifTags, Image
 
 from recon3d.calibration.colmap import load_pycolmap
 from recon3d.errors import DataError
+from recon3d.scene.heic import HEIC_SUFFIXES, WAY_OUT, is_heic, reads_heic
 from recon3d.scene.image_file import ImageFile
 
 SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
+"""And those of HEIC, where the package that reads it is installed."""
 
-_NOT_READ = (".heic", ".heif", ".avif", ".webp", ".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".orf", ".rw2")
+_NOT_READ = (".avif", ".webp", ".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".orf", ".rw2")
 _DIAGONAL_35MM = float(np.hypot(36.0, 24.0))
 _MM_PER_UNIT = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}  # of EXIF's FocalPlaneResolutionUnit
 _ASPECT_TOLERANCE = 0.02
@@ -53,7 +55,7 @@ def find_photographs(
 
     Parameters
     ----------
-    source : a folder, searched for JPEG, PNG and TIFF files (folders in it are not), or files.
+    source : a folder, searched for JPEG, PNG, TIFF and HEIC files (folders in it are not), or files.
     masks : folder of masks, named as the photograph, with ``.png`` in place of its suffix or after it.
 
     Raises
@@ -76,11 +78,13 @@ def unread(source: Path | str | Iterable[Path | str]) -> dict[str, str]:
     """Names of a folder's photographs that are of a kind which is not read, with the way out."""
     if not isinstance(source, str | Path):
         return {}
-    return {
-        path.name: f"{path.suffix} is not read; convert it to JPEG with its EXIF kept"
-        for path in sorted(Path(source).iterdir())
-        if path.suffix.lower() in _NOT_READ and path.name[0] != "."
-    }
+    reasons = {}
+    for path in sorted(Path(source).iterdir()):
+        if path.name[0] != "." and path.suffix.lower() in _NOT_READ:
+            reasons[path.name] = f"{path.suffix} is not read; convert it to JPEG with its EXIF kept"
+        elif path.name[0] != "." and is_heic(path) and not reads_heic():
+            reasons[path.name] = f"{path.suffix} is not read without a package of its own; {WAY_OUT}"
+    return reasons
 
 
 def _files(source: Path | str | Iterable[Path | str]) -> list[Path]:
@@ -88,13 +92,16 @@ def _files(source: Path | str | Iterable[Path | str]) -> list[Path]:
         folder = Path(source)
         if not folder.is_dir():
             raise DataError(f"{folder}: no such folder")
-        found = [path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES and path.name[0] != "."]
+        known = {*SUFFIXES, *(HEIC_SUFFIXES if reads_heic() else ())}
+        found = [path for path in folder.iterdir() if path.suffix.lower() in known and path.name[0] != "."]
     else:
         found = [Path(path) for path in source]
         for path in found:
             if not path.is_file():
                 raise DataError(f"{path}: no such photograph")
-            if path.suffix.lower() not in SUFFIXES:
+            if is_heic(path) and not reads_heic():
+                raise DataError(f"{path}: a HEIC photograph; {WAY_OUT}")
+            if path.suffix.lower() not in SUFFIXES and not is_heic(path):
                 raise DataError(f"{path}: expected a photograph of a kind among {', '.join(SUFFIXES)}; convert it")
     return sorted(found, key=lambda path: path.name)
 
@@ -147,6 +154,8 @@ def _focal_length(path: Path, tags: dict[int, object], width: int, height: int) 
     unit_mm = _MM_PER_UNIT.get(int(_number(tags.get(ExifTags.Base.FocalPlaneResolutionUnit, 2))))
     if per_unit > 0 and unit_mm and known:
         return focal_mm * per_unit / unit_mm * max(width, height) / max(taken)
+    if is_heic(path):
+        return None
     camera = load_pycolmap().infer_camera_from_image(path)  # which knows the sensors of many cameras
     return float(camera.focal_length) if camera.has_prior_focal_length else None
 

@@ -209,7 +209,11 @@ def _matches(
     photographs: Sequence[PhotoFile], angles: NDArray[np.float64], progress: StageProgress | None
 ) -> list[_Pair]:
     """Mutual matches of SIFT features between photographs of near angles, but for what stands still."""
-    sift, matcher, features = cv2.SIFT.create(4000), cv2.BFMatcher(cv2.NORM_L2, crossCheck=False), []
+    sift, matcher, features = (
+        cv2.SIFT.create(4000, enable_precise_upscale=True),
+        cv2.BFMatcher(cv2.NORM_L2, crossCheck=False),
+        [],
+    )
     for n, photograph in enumerate(photographs):
         if progress is not None:
             progress("features", n, len(photographs))

@@ -15,11 +15,10 @@ from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
 
 from recon3d.errors import DataError
+from recon3d.scene.heic import decode_heic, is_heic, register_heic
 
 _WITH_ALPHA = ("RGBA", "LA", "PA", "RGBa", "La")  # Pillow's modes
-_UNREADABLE = frozenset(
-    {".heic", ".heif", ".avif", ".dng", ".cr2", ".cr3", ".nef", ".arw", ".orf", ".rw2", ".raf", ".raw"}
-)
+_UNREADABLE = frozenset({".avif", ".dng", ".cr2", ".cr3", ".nef", ".arw", ".orf", ".rw2", ".raf", ".raw"})
 _DARK = 4096  # values of 16 bits below which they are not of 16
 _ORIENTATION = 0x0112  # EXIF tag
 _TURNS = {2: (0, True), 3: (2, False), 4: (2, True), 5: (3, True), 6: (3, False), 7: (1, True), 8: (1, False)}
@@ -69,6 +68,8 @@ class ImageFile:
         """Width and height as stored, the EXIF orientation to be undone, whether there is an opacity, and 16 bits."""
         if not self.path.is_file():
             raise DataError(f"{self.path}: no such image")
+        if is_heic(self.path):
+            register_heic(self.path)
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
@@ -154,7 +155,10 @@ class ImageFile:
         return np.asarray(cv2.convertScaleAbs(image, alpha=255 / white), np.uint8)
 
     def _stored(self, flags: int) -> NDArray[Any]:
-        """Pixels as they are stored."""
+        """Pixels as they are stored, a color photograph's in the order RGB."""
+        if is_heic(self.path):
+            colors = decode_heic(self.path)
+            return np.asarray(cv2.cvtColor(colors, cv2.COLOR_RGB2GRAY)) if flags == cv2.IMREAD_GRAYSCALE else colors
         flags |= cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
         image = cv2.imread(str(self.path), flags) if self.path.is_file() else None
         if image is None:

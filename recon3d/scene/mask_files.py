@@ -14,12 +14,14 @@ import numpy as np
 
 from recon3d.errors import DataError
 from recon3d.scene.camera import same_shape
+from recon3d.scene.heic import HEIC_SUFFIXES
 from recon3d.scene.image_file import ImageFile
 from recon3d.scene.mask import FileMask
 from recon3d.scene.view import View
 
 IMAGE_SUFFIXES = frozenset(
     {".png", ".jpg", ".jpeg", ".jpe", ".jp2", ".bmp", ".tif", ".tiff", ".pgm", ".ppm", ".pbm", ".pnm", ".webp", ".gif"}
+    | HEIC_SUFFIXES
 )
 """In lower case."""
 
