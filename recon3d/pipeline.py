@@ -27,8 +27,9 @@ from recon3d.scene.scene import Scene
 from recon3d.settings import Settings, choose_views
 from recon3d.stereo.refinement import refine
 from recon3d.surface.extraction import surface_points
-from recon3d.surface.meshing import Meshed, mesh
+from recon3d.surface.meshing import Meshed, Meshing, mesh
 from recon3d.surface.repair import Repairs, repair_mesh
+from recon3d.surface.uncertainty import predict_uncertainty
 from recon3d.surface.vertex_colors import color
 from recon3d.surface.visibility import VertexVisibility
 from recon3d.tasks import Kept, StageProgress, Store, content_key, once
@@ -37,7 +38,7 @@ from recon3d.volume.carved import Carved, CarvedVolume
 from recon3d.volume.lattice import Lattice
 from recon3d.volume.sparse import SparseVolume
 
-_SPACING = 1.5  # of the matched points, pixel footprints
+SPACING = 1.5  # of the matched points, pixel footprints
 
 
 Progress = StageProgress
@@ -84,17 +85,17 @@ def reconstruct(
     with run.step("surface") as done:
         done(0, 3)
         one_sided = settings.method_for(scene).one_sided
-        meshed = mesh(carved, points, meshing, spacing=_SPACING * scene.pixel_footprint, one_sided=one_sided)
+        meshed = mesh(carved, points, meshing, spacing=SPACING * scene.pixel_footprint, one_sided=one_sided)
         done(1, 3)
-        seen = _seen(scene, meshed)
-        if not meshing.keep_unsupported:
-            seen = _supported(scene, seen, meshing.min_component * carved.lattice.voxel_size**2)
+        seen = _seen(scene, meshed, points)
+        if not (meshing.keep_unsupported and meshing.max_uncertainty is None):
+            seen = _supported(scene, seen, meshing, carved.lattice.voxel_size)
         done(2, 3)
         colored = color(seen.mesh, scene, visibility=seen.visibility, caster=seen.caster)
         done(3, 3)
     with run.step("quality") as done:
         done(0, 1)
-        quality = measure_quality(colored, scene, caster=seen.caster if meshing.keep_unsupported else None)
+        quality = measure_quality(colored, scene, caster=seen.caster if seen.whole else None)
         done(1, 1)
     result = Reconstruction(
         scene,
@@ -104,6 +105,7 @@ def reconstruct(
         None if points is None else points.point.confidence.numpy().ravel(),
         colored,
         seen.support,
+        seen.uncertainty,
         seen.repairs,
         run.timings,
         quality,
@@ -143,25 +145,40 @@ class _Seen(NamedTuple):
     visibility: VertexVisibility
     support: NDArray[np.int64]
     """(n_vertices,) views that see what was measured; 0: not measured."""
+    uncertainty: NDArray[np.float64] | None
+    """(n_vertices,) world units; None of a mesh of voxels."""
     repairs: Repairs
     caster: RayCaster
     """Of what hides the mesh."""
+    whole: bool = True
+    """Whether nothing was cut away, so that the mesh is all that hides it."""
 
 
-def _seen(scene: Scene, meshed: Meshed) -> _Seen:
-    """Find what the views see of a mesh, once for support, cutting and colours."""
+def _seen(scene: Scene, meshed: Meshed, points: o3d.t.geometry.PointCloud | None) -> _Seen:
+    """Find what the views see of a mesh, once for support, uncertainty, cutting and colours."""
     caster = RayCaster(meshed.mesh)
     visibility = VertexVisibility.of(meshed.mesh, scene, caster)
-    return _Seen(meshed.mesh, visibility, np.where(meshed.measured, visibility.n_views, 0), meshed.repairs, caster)
+    support = np.where(meshed.measured, visibility.n_views, 0)
+    uncertainty = None if points is None else predict_uncertainty(meshed.mesh, points, scene, visibility, support > 0)
+    return _Seen(meshed.mesh, visibility, support, uncertainty, meshed.repairs, caster)
 
 
-def _supported(scene: Scene, seen: _Seen, min_area: float) -> _Seen:
-    """The part of a mesh that is supported; the rest still hides it."""
-    supported = seen.support > 0
-    if not supported[np.asarray(seen.mesh.triangles)].all(axis=1).any():
+def _supported(scene: Scene, seen: _Seen, meshing: Meshing, voxel_size: float) -> _Seen:
+    """The part of a mesh that is supported, and as certain as is asked for; the rest still hides it."""
+    kept, limit = seen.support > 0, meshing.max_uncertainty
+    if not kept[np.asarray(seen.mesh.triangles)].all(axis=1).any():
         raise EmptyReconstructionError(f"scene {scene.name}: none of the surface was measured")
-    part, repairs, source = repair_mesh(seen.mesh, kept=supported, min_area=min_area)
-    return _Seen(part, seen.visibility.of_vertices(source), seen.support[source], seen.repairs + repairs, seen.caster)
+    if seen.uncertainty is not None and limit is not None:
+        kept = kept & (seen.uncertainty <= limit)
+        if not kept[np.asarray(seen.mesh.triangles)].all(axis=1).any():
+            raise EmptyReconstructionError(
+                f"scene {scene.name}: none of the surface is as certain as max_uncertainty {limit:g}; the most certain "
+                f"vertex has {seen.uncertainty.min():.3g} world units"
+            )
+    part, repairs, source = repair_mesh(seen.mesh, kept=kept, min_area=meshing.min_component * voxel_size**2)
+    uncertainty = None if seen.uncertainty is None else seen.uncertainty[source]
+    return _Seen(part, seen.visibility.of_vertices(source), seen.support[source], uncertainty, seen.repairs + repairs,
+                 seen.caster, whole=False)  # fmt: skip
 
 
 def _evaluated(result: Reconstruction, ground_truth: o3d.geometry.TriangleMesh) -> Reconstruction:

@@ -20,6 +20,7 @@ from recon3d.scene.scene import Scene
 from recon3d.settings import Settings
 from recon3d.summary import Summarised
 from recon3d.surface.repair import Repairs, triangle_areas
+from recon3d.surface.uncertainty import predicted_distance
 from recon3d.surface.visibility import keep_vertices
 from recon3d.tasks import versions
 from recon3d.volume.carved import Carved
@@ -48,6 +49,9 @@ class Reconstruction(Summarised):
     support: NDArray[np.int64]
     """(n_vertices,) views that measured each vertex of the mesh: that see it and, with dense matching, near a matched
     point. 0: filled from the hull."""
+    uncertainty: NDArray[np.float64] | None
+    """(n_vertices,) predicted distance of each vertex of the mesh to the true surface, world units: 68% lie within it,
+    95% within twice as much. Infinite where the surface was filled; None of a mesh of voxels."""
     repairs: Repairs
     """What was wrong with the mesh before."""
     timings: dict[str, float]
@@ -65,6 +69,15 @@ class Reconstruction(Summarised):
         triangles = np.asarray(self.mesh.triangles)
         areas = triangle_areas(np.asarray(self.mesh.vertices), triangles)
         return float(areas[(self.support[triangles] > 0).all(axis=1)].sum() / areas.sum())
+
+    def predicted_accuracy(self, share: float = 0.9) -> float | None:
+        """Distance to the true surface, world units, within which a share of the measured vertices is predicted to lie.
+
+        None of a mesh of voxels, and where nothing was measured.
+        """
+        if self.uncertainty is None or not np.isfinite(self.uncertainty).any():
+            return None
+        return predicted_distance(self.uncertainty, share)
 
     def doubt(self) -> str | None:
         """One sentence on why the result cannot be right, by its own photographs; None: nothing speaks against it."""
@@ -120,6 +133,7 @@ class Reconstruction(Summarised):
                 "triangles": len(self.mesh.triangles),
                 "support": np.bincount(self.support).tolist(),
                 "supported_share": self.supported_share,
+                "predicted_accuracy": self.predicted_accuracy(),
                 **self.repairs.record(),
             },
             "timings_s": self.timings,
@@ -135,9 +149,15 @@ class Reconstruction(Summarised):
         distances = {"measured surface": self.supported_evaluation, "whole mesh": self.evaluation}
         if share == 1:
             del distances["whole mesh"]
+        predicted = self.predicted_accuracy()
         return {
             "scene": f"{self.scene.name}, {len(self.scene.views)} views",
             "surface": f"{share:.0%} measured" + (f", {1 - share:.0%} filled from the hull" if share < 1 else ""),
+            **(
+                {}
+                if predicted is None
+                else {"uncertainty": f"90% of the measured surface within {self.scene.length(predicted)}, predicted"}
+            ),
             **{name: distance.headline() for name, distance in distances.items() if distance},
             **self.quality.summary(),
             "mesh": f"{len(self.mesh.triangles):,} triangles" + (f"; {self.repairs}" if str(self.repairs) else ""),

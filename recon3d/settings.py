@@ -96,6 +96,8 @@ class Settings:
             raise ArgumentError(
                 f"surface={self.meshing.surface!r}: expected matching, since it is how a mesh is made of matched points"
             )
+        if voxels:
+            _refuse_uncertainty(self.meshing)
         for name, given in (
             ("fill_hidden", self.meshing.fill_hidden),
             ("smoothing", self.meshing.smoothing is not None),
@@ -115,6 +117,8 @@ class Settings:
         if carving.needs_silhouettes and not any_silhouette(scene):
             raise SceneError(f"scene {scene.name}: {method_name(carving)} needs silhouettes, and no view has one")
         passes, meshing = self.passes_for(scene), self.meshing
+        if not passes:
+            _refuse_uncertainty(meshing)
         if meshing.keep_unsupported is None:
             meshing = replace(meshing, keep_unsupported=not passes or any_silhouette(scene))
         return replace(self, carving=carving, matching=passes or None, meshing=meshing, n_voxels=self._n_voxels)
@@ -188,6 +192,15 @@ class Settings:
         if test is not None and not used:
             raise ArgumentError(f"expected no test, since the record tells of none of a user's own, got {test}")
         return settings
+
+
+def _refuse_uncertainty(meshing: Meshing) -> None:
+    """Refuse a limit of what is known of matched points alone."""
+    if meshing.max_uncertainty is not None:
+        raise ArgumentError(
+            f"max_uncertainty={meshing.max_uncertainty:g}: expected matching: the uncertainty of a mesh of voxels "
+            "is not known"
+        )
 
 
 def _holds(value: object, kind: type) -> bool:

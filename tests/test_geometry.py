@@ -21,6 +21,7 @@ from recon3d.io.geometry import (
     read_geometry,
     read_mesh,
     read_support,
+    read_uncertainty,
     write_geometry,
 )
 from recon3d.scene.image_file import read_image
@@ -284,3 +285,17 @@ def test_meshes_and_clouds_come_back_from_their_arrays() -> None:
         for name, array in expected.items():
             np.testing.assert_array_equal(found[name], array)
     assert from_arrays(o3d.geometry.TriangleMesh(), geometry_arrays(o3d.geometry.TriangleMesh())).is_empty()
+
+
+def test_a_ply_file_keeps_the_uncertainty_of_every_vertex(tmp_path: Path) -> None:
+    mesh = ball_mesh()
+    uncertainty = np.linspace(0.1, 1, len(mesh.vertices))
+    uncertainty[::3] = np.inf
+    support = np.arange(len(mesh.vertices))
+    path = write_geometry(tmp_path / "a.ply", mesh, support=support, uncertainty=uncertainty)
+    np.testing.assert_allclose(read_uncertainty(path), uncertainty, rtol=1e-6)
+    np.testing.assert_array_equal(read_support(path), support)
+    np.testing.assert_array_equal(np.asarray(read_mesh(path).vertices), np.asarray(mesh.vertices))
+    assert read_uncertainty(write_geometry(tmp_path / "b.ply", mesh, support=support)) is None
+    with pytest.raises(ValueError, match=r"a number for each vertex of a mesh as uncertainty, got shape \(2,\)"):
+        write_geometry(tmp_path / "c.ply", mesh, uncertainty=np.ones(2))

@@ -2,7 +2,7 @@
 
 from recon3d.io.calibrated import Calibrated, CalibratedImage
 from recon3d.io.checkpoints import Checkpoints
-from recon3d.io.geometry import read_geometry, read_mesh, read_support, write_geometry
+from recon3d.io.geometry import read_geometry, read_mesh, read_support, read_uncertainty, write_geometry
 from recon3d.io.middlebury import write_middlebury
 from recon3d.io.opening import FORMATS, Format, open_scene
 from recon3d.io.writing import WRITERS, write_scene
@@ -18,6 +18,7 @@ __all__ = [
     "read_geometry",
     "read_mesh",
     "read_support",
+    "read_uncertainty",
     "write_geometry",
     "write_middlebury",
     "write_scene",

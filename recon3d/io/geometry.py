@@ -47,6 +47,7 @@ def write_geometry(
     geometry: Geometry,
     *,
     support: NDArray[np.int64] | None = None,
+    uncertainty: NDArray[np.float64] | None = None,
     confidence: NDArray[np.float64] | None = None,
 ) -> Path:
     """Write a mesh (PLY, OBJ, GLB, STL), a point cloud (PLY) or a voxel grid (PLY); returns the path.
@@ -54,6 +55,8 @@ def write_geometry(
     Parameters
     ----------
     support : (n_vertices,) how many views see each vertex of a mesh, for ``read_support``; kept by PLY alone.
+    uncertainty : (n_vertices,) predicted distance of each vertex of a mesh to the true surface, world units, for
+        ``read_uncertainty``; kept by PLY alone.
     confidence : (n_points,) in each point of a cloud, kept as a property of that name.
 
     Raises
@@ -65,16 +68,17 @@ def write_geometry(
     allowed = MESH_SUFFIXES if isinstance(geometry, o3d.geometry.TriangleMesh) else (".ply",)
     if path.suffix.lower() not in allowed:
         raise ArgumentError(f"{path}: a {type(geometry).__name__} is written as {', '.join(allowed)}")
-    if support is not None and (
-        not isinstance(geometry, o3d.geometry.TriangleMesh) or support.shape != (len(geometry.vertices),)
-    ):
-        raise ArgumentError(
-            f"{path}: expected a number for each vertex of a mesh as support, got shape {support.shape}"
-        )
+    for name, values in (("support", support), ("uncertainty", uncertainty)):
+        if values is not None and (
+            not isinstance(geometry, o3d.geometry.TriangleMesh) or values.shape != (len(geometry.vertices),)
+        ):
+            raise ArgumentError(
+                f"{path}: expected a number for each vertex of a mesh as {name}, got shape {values.shape}"
+            )
     with atomic_path(path) as temporary:
         if isinstance(geometry, o3d.geometry.TriangleMesh):
             if path.suffix.lower() == ".ply":
-                done = _write_ply(temporary, geometry, support)
+                done = _write_ply(temporary, geometry, support, uncertainty)
             else:  # Open3D 0.20 cannot read the GLB that it writes
                 done = bool(_to_trimesh(geometry).export(temporary, file_type=path.suffix[1:].lower()))
         elif isinstance(geometry, o3d.geometry.PointCloud):
@@ -124,21 +128,21 @@ def read_support(path: Path | str) -> NDArray[np.int64] | None:
     ------
     DataError : missing, cut short, or written by another program.
     """
-    path = Path(path)
-    if not path.is_file():
-        raise DataError(f"{path}: no such file")
-    header = _ply_header(path)
-    lines = [line.split() for line in header.partition("element vertex ")[2].partition("element ")[0].splitlines()]
-    properties = [(line[2], line[1]) for line in lines[1:] if line[0] == "property"]
-    if "support" not in dict(properties):
-        return None
-    if "binary_little_endian" not in header or not {kind for _, kind in properties} <= set(_PLY_TYPES):
-        raise DataError(f"{path}: expected a PLY file as write_geometry writes it, got another program's")
-    row = np.dtype([(name, _PLY_TYPES[kind]) for name, kind in properties])
-    vertices = np.fromfile(path, row, int(lines[0][0]), offset=len(header) + len("end_header\n"))
-    if len(vertices) < int(lines[0][0]):
-        raise DataError(f"{path}: expected {lines[0][0]} vertices, got {len(vertices)}")
-    return vertices["support"].astype(np.int64)
+    values = _vertex_property(Path(path), "support")
+    return None if values is None else values.astype(np.int64)
+
+
+def read_uncertainty(path: Path | str) -> NDArray[np.float64] | None:
+    """(n_vertices,) predicted distance of each vertex of a mesh to the true surface, as ``write_geometry`` wrote it.
+
+    World units; infinite where the surface was filled. None where the file has none.
+
+    Raises
+    ------
+    DataError : missing, cut short, or written by another program.
+    """
+    values = _vertex_property(Path(path), "uncertainty")
+    return None if values is None else values.astype(np.float64)
 
 
 def read_mesh(path: Path | str) -> o3d.geometry.TriangleMesh:
@@ -172,8 +176,13 @@ def from_arrays(geometry: Shape, arrays: Mapping[str, NDArray[Any]]) -> Shape:
     return geometry
 
 
-def _write_ply(path: Path, mesh: o3d.geometry.TriangleMesh, support: NDArray[np.int64] | None) -> bool:
-    """Write as Open3D does, binary, in double precision; it would leave out what it does not know, the support."""
+def _write_ply(
+    path: Path,
+    mesh: o3d.geometry.TriangleMesh,
+    support: NDArray[np.int64] | None,
+    uncertainty: NDArray[np.float64] | None,
+) -> bool:
+    """Write as Open3D does, binary, in double precision; it would leave out support and uncertainty."""
     columns: list[tuple[str, str, NDArray[Any]]] = []  # name, type in PLY, values
 
     def add(names: str, kind: str, values: NDArray[Any]) -> None:
@@ -186,6 +195,8 @@ def _write_ply(path: Path, mesh: o3d.geometry.TriangleMesh, support: NDArray[np.
         add("red green blue", "uchar", _eight_bits(mesh.vertex_colors))
     if support is not None:
         add("support", "int", support[:, None])
+    if uncertainty is not None:
+        add("uncertainty", "float", uncertainty[:, None])
     vertices = np.empty(len(mesh.vertices), [(name, _PLY_TYPES[kind]) for name, kind, _ in columns])
     for name, _, values in columns:
         vertices[name] = values
@@ -198,6 +209,24 @@ def _write_ply(path: Path, mesh: o3d.geometry.TriangleMesh, support: NDArray[np.
     )
     path.write_bytes(header.encode("ascii") + vertices.tobytes() + faces.tobytes())
     return len(vertices) > 0
+
+
+def _vertex_property(path: Path, name: str) -> NDArray[Any] | None:
+    """(n_vertices,) a property of the vertices of a PLY file as ``_write_ply`` writes it; None where it has none."""
+    if not path.is_file():
+        raise DataError(f"{path}: no such file")
+    header = _ply_header(path)
+    lines = [line.split() for line in header.partition("element vertex ")[2].partition("element ")[0].splitlines()]
+    properties = [(line[2], line[1]) for line in lines[1:] if line[0] == "property"]
+    if name not in dict(properties):
+        return None
+    if "binary_little_endian" not in header or not {kind for _, kind in properties} <= set(_PLY_TYPES):
+        raise DataError(f"{path}: expected a PLY file as write_geometry writes it, got another program's")
+    row = np.dtype([(each, _PLY_TYPES[kind]) for each, kind in properties])
+    vertices = np.fromfile(path, row, int(lines[0][0]), offset=len(header) + len("end_header\n"))
+    if len(vertices) < int(lines[0][0]):
+        raise DataError(f"{path}: expected {lines[0][0]} vertices, got {len(vertices)}")
+    return np.asarray(vertices[name])
 
 
 def _eight_bits(colors: o3d.utility.Vector3dVector) -> NDArray[np.uint8]:

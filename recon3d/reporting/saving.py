@@ -37,7 +37,9 @@ def save(
     (folder / "record.json").unlink(missing_ok=True)
     remove_leftovers(folder)
     written = {
-        f"mesh ({name})": write_geometry(folder / f"mesh.{name}", result.mesh, support=result.support)
+        f"mesh ({name})": write_geometry(
+            folder / f"mesh.{name}", result.mesh, support=result.support, uncertainty=result.uncertainty
+        )
         for name in mesh_formats
     }
     written["points"] = write_geometry(folder / "points.ply", result.points, confidence=result.confidence)

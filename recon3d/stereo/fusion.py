@@ -46,15 +46,24 @@ class Fusion:
     """(n, 3) in [0, 1]."""
     support: NDArray[np.float64]
     """(n,) sum of the agreeing views' weights, NCC^2 each."""
+    n_views: NDArray[np.int64]
+    """(n,) views that agree, two or more."""
+    shifts: NDArray[np.float64]
+    """(n,) how far along the normal the mean lies from the plane of the view that a point comes from, world units."""
     depths: tuple[Stored[ConfirmedDepths], ...]
     """Of each view, the depths that the points come from."""
 
     def cloud(self) -> o3d.t.geometry.PointCloud:
-        """Point cloud with ``positions``, ``normals``, ``colors``, and ``confidence`` s / (1 + s) of a support s."""
+        """Point cloud with ``positions``, ``normals``, ``colors``, and ``confidence`` s / (1 + s) of a support s.
+
+        Besides with ``correlation``, the agreeing views' mean NCC^2, and ``shift``, the ``shifts``.
+        """
         cloud = o3d.t.geometry.PointCloud(o3d.core.Tensor.from_numpy(self.points))
         cloud.point.normals = o3d.core.Tensor.from_numpy(self.normals)
         cloud.point.colors = o3d.core.Tensor.from_numpy(self.colors)
         cloud.point.confidence = o3d.core.Tensor.from_numpy((self.support / (1 + self.support))[:, None])
+        cloud.point.correlation = o3d.core.Tensor.from_numpy((self.support / self.n_views)[:, None])
+        cloud.point.shift = o3d.core.Tensor.from_numpy(self.shifts[:, None])
         return cloud
 
 
@@ -87,15 +96,18 @@ def fuse(scene: Scene, depth_maps: Sequence[DepthMap | Stored[DepthMap]], matchi
         weights = np.where(believed, own.weights, np.float32(0))
         kept = weights > 0
         colors = np.clip(found.colors[kept] / 255, 0, 1)
-        parts.append((found.points[kept], found.normals[kept], colors, found.support[kept]))
+        support = found.support[kept]
+        shifts = found.offsets[kept] / support
+        n_views = found.agreeing[kept].astype(np.int64) + 1
+        parts.append((found.points[kept], found.normals[kept], colors, support, n_views, shifts))
         depth = np.divide(1, own.planes[..., 0], out=np.zeros_like(weights), where=kept)
         depths.append(scratch.keep(ConfirmedDepths(depth, weights)))
-    points, normals, colors, support = (np.concatenate(part) for part in zip(*parts, strict=True))
+    points, normals, colors, support, n_views, shifts = (np.concatenate(part) for part in zip(*parts, strict=True))
     if not len(points):
         raise EmptyReconstructionError(
             f"scene {scene.name}: no two views agree on any point; {n_matched:,} pixels found a match"
         )
-    return Fusion(points, normals, colors, support, tuple(depths))
+    return Fusion(points, normals, colors, support, n_views, shifts, tuple(depths))
 
 
 @dataclass(frozen=True)

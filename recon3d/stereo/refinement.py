@@ -56,7 +56,9 @@ class Refinement(NamedTuple):
 
     points: o3d.t.geometry.PointCloud
     """Tensors ``positions`` (n, 3) world units, ``normals`` (n, 3) outwards, ``colors`` (n, 3) in [0, 1], means over
-    the views that agree, and ``confidence`` (n, 1) in (0, 1): s / (1 + s), s the sum of their NCC^2."""
+    the views that agree, ``confidence`` (n, 1) in (0, 1): s / (1 + s), s the sum of their NCC^2, ``correlation`` (n, 1)
+    in (0, 1], the mean of these, and ``shift`` (n, 1), how far along the normal the mean lies from the plane of a
+    point's own view, world units."""
     carved: CarvedVolume
     """The volume carved once more, to the depths found: what is left where there are no points."""
 
@@ -170,7 +172,7 @@ def _within(points: o3d.t.geometry.PointCloud, scene: Scene) -> o3d.t.geometry.P
     return points.select_by_mask(o3d.core.Tensor.from_numpy(~background))
 
 
-_OF_POINTS = ("positions", "normals", "colors", "confidence")
+_OF_POINTS = ("positions", "normals", "colors", "confidence", "correlation", "shift")
 
 
 def _arrays(found: Refinement) -> Arrays:

@@ -29,6 +29,9 @@ class Meshing:
     """Keep unmeasured surface, such as the underside that no view sees, so that the mesh is closed; None: where
     silhouettes bound it, or no points were matched.
     Surface of voxels is measured where a view sees it, surface of points where two views found it."""
+    max_uncertainty: float | None = None
+    """Of points: surface of a larger predicted uncertainty, world units, is left out, and so is all that was not
+    measured; None keeps all."""
     fill_hidden: bool = False
     """Of voxels carved by a one-sided method: mesh what lies hidden behind them, too; solid, but partly guessed."""
     smoothing: int | None = None
@@ -41,6 +44,8 @@ class Meshing:
         require_choice("surface", self.surface, get_args(Surface))
         if self.keep_unsupported is not None:
             require_flag("keep_unsupported", self.keep_unsupported)
+        if self.max_uncertainty is not None:
+            require_number("max_uncertainty", self.max_uncertainty, "(0, inf)")
         require_flag("fill_hidden", self.fill_hidden)
         if self.smoothing is not None:
             require_whole("smoothing", self.smoothing, least=0)

@@ -114,7 +114,7 @@ def _aligned(reconstruction: Path, ground_truth: Path, folder: Path, cameras: st
     from open3d.geometry import PointCloud, TriangleMesh
 
     from recon3d.evaluation.alignment import align
-    from recon3d.io.geometry import read_geometry, read_support, write_geometry
+    from recon3d.io.geometry import read_geometry, read_support, read_uncertainty, write_geometry
     from recon3d.scene.similarity import Similarity
 
     file = mesh_of(reconstruction)
@@ -137,6 +137,9 @@ def _aligned(reconstruction: Path, ground_truth: Path, folder: Path, cameras: st
         found = align(shape, truth, scaling=scaling, start=start)
         report("aligning", 1, 1)
     say({"aligned": found})
-    support = read_support(file) if file.suffix.lower() == ".ply" and isinstance(shape, TriangleMesh) else None
+    support = uncertainty = None
+    if file.suffix.lower() == ".ply" and isinstance(shape, TriangleMesh):
+        support, uncertainty = read_support(file), read_uncertainty(file)
+        uncertainty = None if uncertainty is None else found.scale * uncertainty
     shape.transform(found.matrix())
-    return write_geometry(folder / "aligned.ply", shape, support=support)
+    return write_geometry(folder / "aligned.ply", shape, support=support, uncertainty=uncertainty)

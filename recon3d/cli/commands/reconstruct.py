@@ -110,6 +110,14 @@ def command(
             rich_help_panel=SURFACE,
         ),
     ] = None,
+    max_uncertainty: Annotated[
+        float | None,
+        typer.Option(
+            metavar="D",
+            help="Leave out surface that may be farther than this from the truth, world units; see uncertainty.",
+            rich_help_panel=SURFACE,
+        ),
+    ] = None,
     ground_truth: Annotated[
         Path | None, typer.Option(metavar="MESH", help="Measure against this mesh.", rich_help_panel=MEASURING)
     ] = None,
@@ -162,6 +170,7 @@ def command(
         meshing=Meshing(
             surface=surface.value,
             keep_unsupported=keep_unsupported,
+            max_uncertainty=max_uncertainty,
             fill_hidden=fill_hidden,
             smoothing=smoothing,
             min_component=min_component,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
@@ -9,6 +10,14 @@ import typer
 
 from recon3d.cli import options
 from recon3d.cli.arguments import beside, load, mesh_of, progress, record_of, recorded_scene, say, writable
+from recon3d.errors import DataError
+
+
+class _Mode(StrEnum):
+    """What pictures show."""
+
+    photographs = "photographs"
+    uncertainty = "uncertainty"
 
 
 def command(
@@ -16,18 +25,36 @@ def command(
     scene: Annotated[
         str | None, typer.Option(metavar="SCENE", help="Whose cameras to use, if not those the result records.")
     ] = None,
+    mode: Annotated[
+        _Mode,
+        typer.Option(
+            help="photographs: colours, shading, normals and depth beside the photographs; uncertainty: how far each "
+            "place may be from the true surface, with a scale of colours."
+        ),
+    ] = _Mode.photographs,
     output: options.Output = None,
 ) -> None:
     """Render a result from its input cameras, beside the photographs, and from all around."""
-    from recon3d.io.geometry import read_mesh
+    from recon3d.io.geometry import read_mesh, read_uncertainty
     from recon3d.reporting.pictures import save_pictures
+    from recon3d.reporting.uncertainty_maps import save_uncertainty
 
-    mesh = read_mesh(mesh_of(result))
+    file = mesh_of(result)
+    mesh = read_mesh(file)
+    uncertainty = read_uncertainty(file) if mode == _Mode.uncertainty and file.suffix.lower() == ".ply" else None
+    if mode == _Mode.uncertainty and uncertainty is None:
+        raise DataError(
+            f"{file}: expected vertices with an uncertainty, as mesh.ply of a dense result has them, got none; a mesh "
+            "of voxels has no uncertainty"
+        )
     folder = writable(output or beside(result, "renders"))
     hint = ", so the cameras are not known; give --scene"
     loaded = load(scene, None, "none") if scene else recorded_scene(result, record_of(result), hint=hint)
     with progress() as report:
         report("rendering", 0, 1)
-        written = save_pictures(mesh, loaded, folder, every_view=True)
+        if uncertainty is None:
+            written = save_pictures(mesh, loaded, folder, every_view=True)
+        else:
+            written = save_uncertainty(mesh, uncertainty, loaded, folder)
         report("rendering", 1, 1)
     say(written)
