@@ -8,6 +8,7 @@ from typing import Literal, NamedTuple, get_args
 import numpy as np
 import psutil
 
+from recon3d.carving import N_VOXELS
 from recon3d.carving.vote_carving import reading_scale
 from recon3d.checks import require_choice
 from recon3d.errors import NoRoomError
@@ -124,6 +125,11 @@ def needs(scene: Scene, settings: Settings | None = None) -> Needs:
     settings = settings or Settings()
     used = _used(scene, settings)
     return _needs(used, settings, _Extent.of(used))
+
+
+def advised_voxel_size(scene: Scene) -> float:
+    """Edge length in world units: a million voxels, as by default, but none finer than a pixel's footprint."""
+    return max(Settings(n_voxels=N_VOXELS).lattice(scene).voxel_size, scene.pixel_footprint)
 
 
 def at_detail(

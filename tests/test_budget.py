@@ -12,7 +12,7 @@ import pytest
 from scenes import ball_mesh, cameras, grain, photographs
 
 from recon3d import Bounds, Camera, Scene, Settings, View, VisualHull
-from recon3d.budget import SCALES, at_detail, needs
+from recon3d.budget import SCALES, advised_voxel_size, at_detail, needs
 from recon3d.cli.arguments import bytes_of
 from recon3d.errors import ArgumentError, NoRoomError
 from recon3d.io.files import write_image
@@ -46,6 +46,15 @@ def test_a_shrunk_scene_shows_every_point_where_the_photographs_do(scene: Scene)
         np.testing.assert_array_equal(small.image, view.image_at(0.5))
     assert half.pixel_footprint == pytest.approx(2 * scene.pixel_footprint)
     assert scene.shrunk(1.0) is scene
+
+
+def test_voxels_finer_than_a_pixel_are_not_advised(scene: Scene) -> None:
+    """Of 48x36 pixels a million voxels would be finer; of photographs ten times as large they are not."""
+    assert advised_voxel_size(scene) == pytest.approx(scene.pixel_footprint)
+    fine = large(6, 480, 360)
+    advised = advised_voxel_size(fine)
+    assert advised > fine.pixel_footprint
+    assert fine.bounds.extent.prod() / advised**3 == pytest.approx(1e6, rel=0.03)
 
 
 def test_masks_shrink_with_the_photographs(scene: Scene, tmp_path: Path) -> None:

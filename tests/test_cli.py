@@ -84,6 +84,7 @@ def test_the_demo_names_files_that_exist(tmp_path: Path) -> None:
 def test_info_lists_the_views(photographs: Path, tmp_path: Path) -> None:
     text = run("info", photographs, "-o", tmp_path, "--figure", tmp_path / "cameras.png").stdout
     assert "Check: nothing wrong was found" in text
+    assert re.search(r"advised voxel size: +\S+ mm \(--voxel-size \S+\): \S+ GiB and \S+ CPU seconds", text)
     assert "35 mm" in text
     assert (tmp_path / "cameras.png").is_file()
     assert "8 of 8 (ordinal visibility constraint)" in text

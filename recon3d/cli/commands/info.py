@@ -38,7 +38,9 @@ def command(
 
     Of a scene that cannot be used, what could be read is told, and why not.
     """
+    from recon3d.budget import advised_voxel_size, needs
     from recon3d.diagnosis import diagnose
+    from recon3d.settings import Settings
 
     with doubts() as doubted:
         try:
@@ -47,9 +49,10 @@ def command(
             _tell_of_refused(scene, images, figure)
             raise
         chosen = at_detail(loaded, detail, memory)
-    loaded = chosen.scene
-    diagnosis = diagnose(loaded)
-    say({**loaded.summary(), "detail": chosen.told})
+    diagnosis = diagnose(loaded)  # at full detail, or half a pixel would be less
+    advised = advised_voxel_size(chosen.scene)
+    told = f"{loaded.length(advised)} (--voxel-size {advised:.3g}): {needs(chosen.scene, Settings(voxel_size=advised))}"
+    say({**chosen.scene.summary(), "detail": chosen.told, "advised voxel size": told})
     _tell_of_views(loaded, diagnosis, Path(scene))
     warn_of_doubts(doubted, diagnosis.findings)
     _tell_of_findings(diagnosis, figure, wrong=bool(doubted))
