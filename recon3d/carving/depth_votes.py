@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from math import ceil
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_dilation, binary_fill_holes, gaussian_filter
+from scipy.ndimage import binary_fill_holes, gaussian_filter
 
 from recon3d.kernels.depth_maps import add_depths
 from recon3d.kernels.types import Cameras, DepthMaps, Votes
@@ -16,9 +15,6 @@ from recon3d.volume.dense import CarvingVolume
 
 MIN_DEVIATION = 1.0
 """Grey levels; a window with less contrast has nothing to match."""
-
-
-_BLUR_REACH = 2.0  # standard deviations within which a blur's weight counts
 
 
 def hull_of_field(field: NDArray[np.float32], carved: NDArray[np.integer], volume: CarvingVolume) -> CarvedVolume:
@@ -41,6 +37,10 @@ def carve_by_depths(
 ) -> NDArray[np.float32]:
     """Signed distance field (nx, ny, nz) after the depth maps' votes; never larger than before but in filled holes.
 
+    Only what is solid so far is asked, so that the blur draws a surface out towards the present one, by up to 0.7
+    voxels. Asking what lies before it, too, puts the surface of a ball where it is, but bites into thin parts: of twelve
+    views of the cow, dense matching that starts there measures 78.3% of it to 0.25 mm, instead of 79.2% to 0.19 mm.
+
     Parameters
     ----------
     cameras : of all views.
@@ -51,10 +51,7 @@ def carve_by_depths(
     margin : resolutions left in front of the surface found.
     """
     occupied = field > 0
-    blur = resolution / volume.voxel_size
-    # Of what is occupied alone, the blur would draw the surface found out to the present one.
-    asked = binary_dilation(occupied, iterations=ceil(_BLUR_REACH * blur))
-    voxels = np.argwhere(asked)
+    voxels = np.argwhere(occupied)
     near = Votes(np.zeros(len(voxels)), np.zeros(len(voxels)))
     first = 0
     for each in maps:
@@ -62,13 +59,12 @@ def carve_by_depths(
         add_depths(voxels, volume.lattice.packed, cameras.part(range(first, last)), each, truncation, near)
         first = last
     votes, weight = np.zeros(volume.shape, np.float32), np.zeros(volume.shape, np.float32)
-    # No farther in front than a surface may lie that the blur reaches: views that graze it see far past it.
-    least = np.where(occupied, -truncation, field - _BLUR_REACH * resolution)[asked]
-    votes[asked], weight[asked] = np.maximum(near.distance, least * near.support), near.support
+    votes[occupied], weight[occupied] = near.distance, near.support
     # Blurred together with their weights, so that one stray ray cannot bore a hole.
+    blur = resolution / volume.voxel_size
     votes, weight = gaussian_filter(votes, blur), gaussian_filter(weight, blur)
     judged = (votes + prior * truncation) / (weight + prior)
-    carved = np.minimum(field, judged + margin * resolution)
+    carved = np.where(occupied, np.minimum(field, judged + margin * resolution), field)
     # A cavity without an opening was seen by nobody.
     enclosed = binary_fill_holes(carved > 0) & (carved <= 0) & occupied
     carved[enclosed] = volume.voxel_size
