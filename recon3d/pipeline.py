@@ -21,6 +21,7 @@ from recon3d.consistency.spec import identity
 from recon3d.errors import EmptyReconstructionError
 from recon3d.evaluation.distances import measure
 from recon3d.evaluation.photographs import measure_quality
+from recon3d.heap import give_back
 from recon3d.rendering.ray_caster import RayCaster
 from recon3d.result import Reconstruction
 from recon3d.scene.scene import Scene
@@ -131,6 +132,7 @@ class _Run:
         """Note how many seconds a block takes; yields what it reports its progress to."""
         start = perf_counter()
         yield partial(self._progress, name) if self._progress else _ignored
+        give_back()
         self.timings[name] = round(perf_counter() - start, 3)
 
 

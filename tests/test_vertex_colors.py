@@ -13,7 +13,7 @@ from scenes import ball_mesh, cameras, photographs, stripes, two_planes_mesh
 from recon3d.carving.visual_hull import VisualHull
 from recon3d.datasets.synthetic import BuiltInScene, _irradiance, temple_texture
 from recon3d.errors import EmptyReconstructionError
-from recon3d.kernels.vertex_colors import Vertices, agreed_colors, facing_views, weighted_median
+from recon3d.kernels.vertex_colors import Samples, Vertices, agreed_colors, facing_views, sample_view, weighted_median
 from recon3d.rendering.ray_caster import RayCaster
 from recon3d.scene.scene import Scene
 from recon3d.surface.extraction import nearest_colors
@@ -108,7 +108,14 @@ def test_kernels_are_their_slow_twins() -> None:
         np.testing.assert_array_equal(row, view.sees(points) & towards)
     trust = np.random.default_rng(0).choice([0.0, 0.05, 1.0], views.foreground.shape).astype(np.float32)
     colors = np.full((len(points), 3), np.nan)
-    agreed_colors(Vertices(points, normals), facing, views.cameras, views.images, trust, colors)
+    shown, weights = np.zeros((*facing.shape, 3)), np.zeros(facing.shape)
+    for n, view in enumerate(scene.views):
+        chosen = np.flatnonzero(facing[n])
+        samples = Samples(np.zeros((len(chosen), 3)), np.zeros(len(chosen)))
+        camera, inside = views.cameras.at(n), trust[n, : view.height, : view.width]
+        sample_view(Vertices(points, normals), chosen, camera, view.image, inside, samples)
+        shown[n, chosen], weights[n, chosen] = samples
+    agreed_colors(shown, weights, colors)
     slow = colors_slowly(points, normals, facing, scene, trust)
     assert 0.1 < np.isnan(slow[:, 0]).mean() < 0.9
     np.testing.assert_allclose(colors, slow, atol=1e-6)
@@ -206,15 +213,15 @@ def test_a_steep_plane_has_no_edges_and_a_step_has() -> None:
     plane = o3d.geometry.TriangleMesh(
         o3d.utility.Vector3dVector(corners), o3d.utility.Vector3iVector(np.array([[0, 1, 2], [0, 2, 3]], np.int32))
     )
-    unmasked = replace(scene, views=(replace(view, mask=None),))
-    trust = _trust(RayCaster(plane), unmasked, unmasked.packed)
+    unmasked, focal = replace(view, mask=None), float(scene.cameras.focals[0])
+    trust = _trust(RayCaster(plane), unmasked, focal)
     assert (trust == 1).mean() > 0.99
-    ball = _trust(RayCaster(mesh), unmasked, unmasked.packed)
+    ball = _trust(RayCaster(mesh), unmasked, focal)
     assert 100 < (ball == np.float32(_EDGE_WEIGHT)).sum() < 2000  # the rim of a disc of 80 pixels, 3 or 4 wide
-    masked = _trust(RayCaster(mesh), scene, scene.packed)
+    masked = _trust(RayCaster(mesh), view, focal)
     assert view.silhouette is not None
-    assert (masked[0][~view.silhouette] == 0).all()
-    assert 0 < (masked[0][view.silhouette] == 0).mean() < 0.1
+    assert (masked[~view.silhouette] == 0).all()
+    assert 0 < (masked[view.silhouette] == 0).mean() < 0.1
 
 
 def test_colours_flow_to_where_no_view_looks() -> None:

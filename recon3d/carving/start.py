@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from recon3d.errors import ArgumentError, EmptyReconstructionError, SceneError
 from recon3d.kernels.silhouettes import Outlines, silhouette_distance
-from recon3d.scene.packed import PackedViews
+from recon3d.scene.packed import pack_cameras
 from recon3d.scene.scene import Scene
 from recon3d.scene.view import View
 from recon3d.volume.dense import CarvingVolume
@@ -53,10 +53,12 @@ def hull_distance(scene: Scene, volume: CarvingVolume, *, tolerance: int = 0) ->
 
     Cut off at ``BAND`` voxels on either side; where no silhouette says anything it is that far inside.
     """
-    outlines = silhouette_outlines(scene, tolerance)
+    views = _checked(scene, tolerance)
     limit = np.float32(BAND * volume.voxel_size)
     field = np.full(volume.shape, limit, np.float32)
-    silhouette_distance(volume.lattice.packed, outlines, field)
+    # The smallest distance of all can be found one view after the other.
+    for part in [views] if tolerance else [(view,) for view in views]:
+        silhouette_distance(volume.lattice.packed, _outlines(part, tolerance), field)
     if not (volume.occupied & (field > 0)).any():
         raise nothing_inside(scene, lambda alone: float((hull_distance(alone, volume) > 0).mean()))
     return np.maximum(field, -limit)
@@ -69,17 +71,28 @@ def any_silhouette(scene: Scene) -> bool:
 
 def silhouette_outlines(scene: Scene, tolerance: int = 0) -> Outlines:
     """Outlines of a scene's silhouettes, of which at most so many as tolerated, and not all, may be wrong."""
+    return _outlines(_checked(scene, tolerance), tolerance)
+
+
+def _checked(scene: Scene, tolerance: int) -> tuple[View, ...]:
+    """The views with a silhouette, more than may be wrong."""
     views = _with_silhouette(scene)
     if not views:
         raise SceneError(f"scene {scene.name}: a visual hull needs silhouettes, and no view has one")
     if not 0 <= tolerance < len(views):
         raise ArgumentError(f"expected a tolerance of 0 to {len(views) - 1} wrong silhouettes, got {tolerance}")
-    arrays = PackedViews(views)
-    distances = np.zeros(arrays.foreground.shape, np.float32)
+    return views
+
+
+def _outlines(views: tuple[View, ...], tolerance: int) -> Outlines:
+    """Outlines of views that have silhouettes."""
+    distances = np.zeros(
+        (len(views), max(view.height for view in views), max(view.width for view in views)), np.float32
+    )
     for n, view in enumerate(views):
-        distances[n, : view.height, : view.width] = outline_distance(arrays.foreground[n, : view.height, : view.width])
+        distances[n, : view.height, : view.width] = outline_distance(view.may_show_object)
     pixel_scales = np.array([1 / np.sqrt(view.K[0, 0] * view.K[1, 1]) for view in views])
-    return Outlines(arrays.cameras, pixel_scales, distances, tolerance)
+    return Outlines(pack_cameras([view.calibration for view in views]), pixel_scales, distances, tolerance)
 
 
 def nothing_inside(scene: Scene, share: Callable[[Scene], float]) -> EmptyReconstructionError:

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from recon3d.kernels import Part, kernel, span
 from recon3d.kernels.cameras import bilinear, project
-from recon3d.kernels.types import Cameras
+from recon3d.kernels.types import Camera, Cameras
 
 
 class Vertices(NamedTuple):
@@ -17,6 +17,15 @@ class Vertices(NamedTuple):
     """(n, 3) world."""
     normals: NDArray[np.float64]
     """(n, 3) outwards."""
+
+
+class Samples(NamedTuple):
+    """What a view shows of k vertices."""
+
+    colors: NDArray[np.float64]
+    """(k, 3) RGB, 0 to 255."""
+    weights: NDArray[np.float64]
+    """(k,); 0: the pixel is not trusted."""
 
 
 @kernel(parallel=True)
@@ -40,48 +49,60 @@ def facing_views(
 
 
 @kernel(parallel=True)
-def agreed_colors(
+def sample_view(
     part: Part,
     vertices: Vertices,
-    seen: NDArray[np.bool_],
-    cameras: Cameras,
-    images: NDArray[np.uint8],
+    chosen: NDArray[np.int64],
+    camera: Camera,
+    image: NDArray[np.uint8],
     trust: NDArray[np.float32],
-    colors: NDArray[np.float64],
+    samples: Samples,
 ) -> None:
-    """Weighted median of the pixels (n_views, height, width, 3) at vertices that views see (n_views, n).
+    """Pixels of an image (height, width, 3) at chosen vertices (k,), all of which the view sees.
 
-    A pixel weighs trust (n_views, height, width) times cosine to the normal over footprint squared: how many pixels an
-    area gets. Vertices that no pixel with any trust shows keep their colour.
+    A pixel weighs trust (height, width) times cosine to the normal over footprint squared: how many pixels an area
+    gets.
     """
-    projections, centers, sizes = cameras.projections, cameras.centers, cameras.sizes
     points, normals = vertices
-    n_points, n_views = len(points), len(images)
+    for k in span(part, len(chosen)):
+        n = chosen[k]
+        u, v, depth = project(camera.projection, points[n, 0], points[n, 1], points[n, 2])
+        trusted = trust[int(v + 0.5), int(u + 0.5)]
+        samples.weights[k] = 0.0
+        if trusted <= 0:
+            continue
+        along = square = 0.0
+        for axis in range(3):
+            sight = camera.center[axis] - points[n, axis]
+            along += sight * normals[n, axis]
+            square += sight * sight
+        samples.weights[k] = trusted * along / np.sqrt(square) * (camera.focal / depth) ** 2
+        for channel in range(3):
+            samples.colors[k, channel] = bilinear(image[:, :, channel], u, v, camera.size[0], camera.size[1])
+
+
+@kernel(parallel=True)
+def agreed_colors(
+    part: Part, samples: NDArray[np.float64], weights: NDArray[np.float64], colors: NDArray[np.float64]
+) -> None:
+    """Weighted median of what views show (n_views, n, 3) of vertices; those without any weight keep their colour."""
+    n_views, n_points = weights.shape
     values = np.empty((3, n_views), np.float64)
-    weights = np.empty(n_views, np.float64)
+    given = np.empty(n_views, np.float64)
     sorted_weights = np.empty(n_views, np.float64)
     for n in span(part, n_points):
         count = 0
         for view in range(n_views):
-            if not seen[view, n]:
+            if weights[view, n] <= 0.0:
                 continue
-            u, v, depth = project(projections[view], points[n, 0], points[n, 1], points[n, 2])
-            trusted = trust[view, int(v + 0.5), int(u + 0.5)]
-            if trusted <= 0:
-                continue
-            along = square = 0.0
-            for axis in range(3):
-                sight = centers[view, axis] - points[n, axis]
-                along += sight * normals[n, axis]
-                square += sight * sight
-            weights[count] = trusted * along / np.sqrt(square) * (cameras.focals[view] / depth) ** 2
+            given[count] = weights[view, n]
             for channel in range(3):
-                values[channel, count] = bilinear(images[view, :, :, channel], u, v, sizes[view, 0], sizes[view, 1])
+                values[channel, count] = samples[view, n, channel]
             count += 1
         if count > 0:
             for channel in range(3):
                 for k in range(count):
-                    sorted_weights[k] = weights[k]
+                    sorted_weights[k] = given[k]
                 colors[n, channel] = weighted_median(values[channel, :count], sorted_weights[:count])
 
 

@@ -127,6 +127,12 @@ class View(ByContent, Summarised):
         return self.silhouette_at(1.0)
 
     @property
+    def may_show_object(self) -> NDArray[np.bool_]:
+        """(height, width) the silhouette; all pixels where it is not known."""
+        silhouette = self.silhouette
+        return np.ones((self.height, self.width), np.bool_) if silhouette is None else silhouette
+
+    @property
     def has_silhouette(self) -> bool:
         """Whether a silhouette is known; reads no pixels."""
         return self.mask is not None

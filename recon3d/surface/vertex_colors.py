@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import cv2
 import numpy as np
 import open3d as o3d
@@ -10,11 +12,12 @@ from scipy.sparse import coo_array
 from scipy.spatial import cKDTree
 
 from recon3d.errors import ArgumentError, EmptyReconstructionError
-from recon3d.kernels.vertex_colors import Vertices, agreed_colors
+from recon3d.kernels.vertex_colors import Samples, Vertices, agreed_colors, sample_view
 from recon3d.rendering.ray_caster import RayCaster
-from recon3d.rendering.renderer import pixel_rays
-from recon3d.scene.packed import PackedViews
+from recon3d.rendering.renderer import bands, pixel_rays
 from recon3d.scene.scene import Scene
+from recon3d.scene.view import View
+from recon3d.scratch import Scratch
 from recon3d.surface.visibility import VertexVisibility
 
 _JUMP = 5.0  # pixel footprints of depth between neighbouring pixels that make an edge
@@ -24,6 +27,9 @@ _EDGE_WEIGHT = 0.05  # of a pixel at an edge: it counts where nothing better is 
 
 
 _SWEEPS = 50  # edges that colours flow along the surface
+
+
+_BATCH = 1 << 16  # vertices at a time
 
 
 def color(
@@ -73,10 +79,7 @@ def color(
             f"expected the visibility of {len(points):,} vertices in {len(scene.views)} views, "
             f"got {visibility.seen.shape[1]:,} in {visibility.seen.shape[0]}"
         )
-    views = scene.packed
-    colors = np.full((len(points), 3), np.nan)
-    trust = _trust(caster, scene, views)
-    agreed_colors(Vertices(points, normals), visibility.seen, views.cameras, views.images, trust, colors)
+    colors = _agreed(Vertices(points, normals), visibility.seen, scene, caster)
     known = np.isfinite(colors[:, 0])
     if not known.any():
         raise EmptyReconstructionError(f"scene {scene.name}: no view shows any of the surface, so it has no colours")
@@ -85,24 +88,51 @@ def color(
     return mesh
 
 
-def _trust(caster: RayCaster, scene: Scene, views: PackedViews) -> NDArray[np.float32]:
-    """(n_views, height, width) weight of each pixel: 0 in and beside the background, little beside a jump of depth.
+@dataclass(frozen=True)
+class _Sampled:
+    """What a view shows of the vertices that it sees, in their order."""
+
+    colors: NDArray[np.float64]
+    weights: NDArray[np.float64]
+
+
+def _agreed(vertices: Vertices, seen: NDArray[np.bool_], scene: Scene, caster: RayCaster) -> NDArray[np.float64]:
+    """(n, 3) colours, 0 to 255, that the views agree on, one view being read at a time; NaN where none is asked."""
+    scratch, cameras, sampled = Scratch(), scene.cameras, []
+    for n, view in enumerate(scene.views):
+        chosen = np.flatnonzero(seen[n])
+        samples = Samples(np.empty((len(chosen), 3)), np.empty(len(chosen)))
+        sample_view(vertices, chosen, cameras.at(n), view.image, _trust(caster, view, cameras.focals[n]), samples)
+        sampled.append(scratch.keep(_Sampled(*samples)))
+    colors = np.full((seen.shape[1], 3), np.nan)
+    starts = np.zeros(len(sampled), np.int64)
+    for first in range(0, len(colors), _BATCH):
+        batch = seen[:, first : first + _BATCH]
+        counts = batch.sum(axis=1)
+        shown, weights = np.zeros((*batch.shape, 3)), np.zeros(batch.shape)
+        for n, each in enumerate(sampled):
+            found, own = each.read(), np.s_[starts[n] : starts[n] + counts[n]]
+            shown[n, batch[n]], weights[n, batch[n]] = found.colors[own], found.weights[own]
+        agreed_colors(shown, weights, colors[first : first + _BATCH])
+        starts += counts
+    return colors
+
+
+def _trust(caster: RayCaster, view: View, focal: float) -> NDArray[np.float32]:
+    """(height, width) weight of a view's pixels: 0 in and beside the background, little beside a jump of depth.
 
     Inverse depth is linear in the pixels of a plane, however steep, so its second difference tells jumps from slopes.
     """
-    trust = np.zeros(views.foreground.shape, np.float32)
     window = np.ones((3, 3), np.uint8)
-    for n, view in enumerate(scene.views):
-        hits = caster.first_hits(*pixel_rays(view.K, view.cam_from_world, view.width, view.height))
-        inverse = 1 / hits.distance.astype(np.float64)
-        bend = np.zeros_like(inverse)
-        bend[:, 1:-1] = np.abs(np.diff(inverse, 2, axis=1))
-        bend[1:-1] = np.maximum(bend[1:-1], np.abs(np.diff(inverse, 2, axis=0)))
-        edge = bend > _JUMP / views.cameras.focals[n] * cv2.dilate(inverse, window)
-        background = ~views.foreground[n, : view.height, : view.width]
-        beside, mixed = (cv2.dilate(mask.astype(np.uint8), window) > 0 for mask in (edge, background))
-        trust[n, : view.height, : view.width] = np.where(mixed, 0.0, np.where(beside, _EDGE_WEIGHT, 1.0))
-    return trust
+    rays = (pixel_rays(view.K, view.cam_from_world, view.width, rows) for rows in bands(view.height, view.width))
+    inverse = 1 / np.concatenate([caster.first_hits(*each).distance for each in rays]).astype(np.float64)
+    bend = np.zeros_like(inverse)
+    bend[:, 1:-1] = np.abs(np.diff(inverse, 2, axis=1))
+    bend[1:-1] = np.maximum(bend[1:-1], np.abs(np.diff(inverse, 2, axis=0)))
+    edge = bend > _JUMP / focal * cv2.dilate(inverse, window)
+    background = ~view.may_show_object
+    beside, mixed = (cv2.dilate(mask.astype(np.uint8), window) > 0 for mask in (edge, background))
+    return np.where(mixed, 0.0, np.where(beside, _EDGE_WEIGHT, 1.0)).astype(np.float32)
 
 
 def _let_flow(
