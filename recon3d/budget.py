@@ -16,8 +16,8 @@ from recon3d.scene.bounds import Bounds
 from recon3d.scene.mask import ComputedMask
 from recon3d.scene.neighbours import viewing_angles
 from recon3d.scene.pixel_cache import PIXELS
+from recon3d.scene.regions import bounds_mask
 from recon3d.scene.scene import Scene
-from recon3d.scene.silhouettes import bounds_mask
 from recon3d.scene.view import View
 from recon3d.settings import Settings, choose_views
 from recon3d.surface.poisson import octree_depth

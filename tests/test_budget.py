@@ -16,7 +16,8 @@ from recon3d.budget import SCALES, advised_voxel_size, at_detail, needs
 from recon3d.cli.arguments import bytes_of
 from recon3d.errors import ArgumentError, NoRoomError
 from recon3d.io.files import write_image
-from recon3d.scene.silhouettes import with_segmented_silhouettes, with_threshold_silhouettes, without_silhouettes
+from recon3d.scene.segmentation import with_segmented_silhouettes
+from recon3d.scene.silhouettes import with_threshold_silhouettes, without_silhouettes
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,8 @@ from recon3d.errors import ArgumentError
 from recon3d.scene.bounds import Bounds
 from recon3d.scene.camera import Camera
 from recon3d.scene.scene import Scene
-from recon3d.scene.silhouettes import with_segmented_silhouettes, with_threshold_silhouettes
+from recon3d.scene.segmentation import with_segmented_silhouettes
+from recon3d.scene.silhouettes import with_threshold_silhouettes
 from recon3d.scene.view import View
 
 K = np.array([[105.0, 2.5, 47.0], [0, 98.0, 36.5], [0, 0, 1]])

@@ -14,18 +14,17 @@ from scipy.ndimage import binary_dilation, binary_erosion
 from recon3d.datasets.synthetic import BuiltInScene
 from recon3d.errors import DataError
 from recon3d.io.files import write_image
+from recon3d.scene.background import Background, foreground
 from recon3d.scene.bounds import Bounds
 from recon3d.scene.image_file import ImageFile
 from recon3d.scene.names import file_stems
 from recon3d.scene.pixel_cache import PIXELS
+from recon3d.scene.regions import bounds_mask
 from recon3d.scene.scene import Scene
+from recon3d.scene.segmentation import with_segmented_silhouettes
 from recon3d.scene.silhouettes import (
-    _Background,
-    bounds_mask,
-    foreground,
     overlay,
     with_mask_files,
-    with_segmented_silhouettes,
     with_threshold_silhouettes,
     without_silhouettes,
 )
@@ -350,7 +349,7 @@ def test_threads_that_ask_for_silhouettes_at_once_find_the_same(tmp_path: Path, 
         found = list(pool.map(lambda view: view.silhouette, [*shared.views, *shared.views]))
     for mask, expected in zip(found, one_by_one * 2, strict=True):
         np.testing.assert_array_equal(mask, expected)
-    assert len(decoded) == 2 * 4  # once for the level, once for the mask
+    assert len(decoded) == 3 * 4  # for the level, for the mask, for the colors at what the masks disagree about
 
 
 def test_a_computed_silhouette_stays_that_of_its_own_photograph() -> None:
@@ -385,7 +384,7 @@ def test_the_level_of_the_background_is_the_percentile_of_all_its_pixels() -> No
             replace(plain_view(name=name), photograph=rng.integers(0, brightest, (30, 40, 3), dtype=np.uint8))
             for name in "abc"
         )
-        background = _Background(views, box)
+        background = Background(views, box)
         color = np.array(background.color, np.int64)
         assert (color.max() > 0) == (brightest == 256)
         beyond = np.concatenate([np.abs(view.image[~bounds_mask(box, view)] - color).max(axis=1) for view in views])

@@ -8,16 +8,11 @@ from dataclasses import replace
 import numpy as np
 
 from recon3d.errors import SceneError
+from recon3d.scene.background import BLACK, background_color, foreground, has_plain_frame
 from recon3d.scene.enclosing import enclosing_box
+from recon3d.scene.regions import bounds_mask
 from recon3d.scene.scene import Scene
-from recon3d.scene.silhouettes import (
-    BLACK,
-    background_color,
-    bounds_mask,
-    foreground,
-    has_plain_frame,
-    with_segmented_silhouettes,
-)
+from recon3d.scene.segmentation import with_segmented_silhouettes
 from recon3d.scene.view import View
 
 _CHECKED = 8e6  # pixels that are looked at to check a box

@@ -40,11 +40,8 @@ from recon3d.scene.mask import FileMask, Mask
 from recon3d.scene.mask_files import fitting_masks, mask_folders, masks_of_views
 from recon3d.scene.names import stems_of
 from recon3d.scene.scene import NO_SILHOUETTES, Scene
-from recon3d.scene.silhouettes import (
-    with_mask_files,
-    with_segmented_silhouettes,
-    with_threshold_silhouettes,
-)
+from recon3d.scene.segmentation import with_segmented_silhouettes
+from recon3d.scene.silhouettes import with_mask_files, with_threshold_silhouettes
 from recon3d.scene.view import View
 
 
