@@ -326,6 +326,17 @@ def test_the_evaluation_script_prints_both_figures(result: Path, temple: BuiltIn
     assert f"completeness {figures['completeness_percent']:.1f} %" in process.stdout
 
 
+def test_a_result_shows_where_it_is_uncertain_and_from_where_to_photograph(result: Path, tmp_path: Path) -> None:
+    run("render", result, "--mode", "uncertainty", "-o", tmp_path)
+    assert (tmp_path / "uncertainty.png").is_file()
+    told = run("info", result, "--next-views", 2, "--figure", tmp_path / "next.png").stdout
+    assert "seen by fewer than two views:" in told
+    assert "next view 1:" in told
+    assert (tmp_path / "next.png").stat().st_size > 10_000
+    refused = run("info", result, "--next-views", 2, "--silhouettes", "none", expect=1).stderr
+    assert "--next-views: expected a result and --figure alone" in refused
+
+
 def test_a_result_is_rendered_and_measured_with_what_its_record_says(
     temple: BuiltInScene, photographs: Path, tmp_path: Path
 ) -> None:

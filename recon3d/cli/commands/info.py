@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from recon3d.cli import options
-from recon3d.cli.arguments import at_detail, doubts, load, say, warn_of_doubts
-from recon3d.errors import Recon3dError
+from recon3d.cli.arguments import at_detail, doubts, load, mesh_of, record_of, recorded_scene, say, warn_of_doubts
+from recon3d.errors import ArgumentError, Recon3dError
 
 if TYPE_CHECKING:
     from recon3d.diagnosis import Diagnosis
@@ -17,7 +17,13 @@ if TYPE_CHECKING:
 
 
 def command(
-    scene: options.Scene,
+    scene: Annotated[
+        str,
+        typer.Argument(
+            metavar="SCENE|RESULT",
+            help="Folder of calibrated photographs, or 'little-temple' (built in); with --next-views that of a result.",
+        ),
+    ],
     output: options.Output = None,
     figure: Annotated[
         Path | None,
@@ -33,6 +39,13 @@ def command(
     mm_per_unit: options.MmPerUnit = None,
     detail: options.Detail = "auto",
     memory: options.Memory = None,
+    next_views: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N",
+            help="Of a result: which of its surface is missing, and from where N more photographs would help most.",
+        ),
+    ] = None,
 ) -> None:
     """Check a scene: what it holds, what is wrong with it, its views in a table; --output and --figure draw it.
 
@@ -42,6 +55,12 @@ def command(
     from recon3d.diagnosis import diagnose
     from recon3d.settings import Settings
 
+    if next_views is not None:
+        given = output, bounds, images, mm_per_unit, memory
+        if any(option is not None for option in given) or (silhouettes, detail) != ("auto", "auto"):
+            raise ArgumentError("--next-views: expected a result and --figure alone; its record tells the scene")
+        _tell_of_next_views(Path(scene), next_views, figure)
+        return
     with doubts() as doubted:
         try:
             loaded = load(scene, bounds, silhouettes, mm_per_unit, images)
@@ -58,6 +77,28 @@ def command(
     _tell_of_findings(diagnosis, figure, wrong=bool(doubted))
     if output:
         _draw_silhouettes(loaded, output)
+
+
+def _tell_of_next_views(result: Path, n: int, figure: Path | None) -> None:
+    """Print which part of a result's surface is missing and where to photograph from, and draw it."""
+    from recon3d.diagnosis import diagnose
+    from recon3d.diagnosis.figure import save_figure
+    from recon3d.evaluation import propose_views
+    from recon3d.io.geometry import read_mesh, read_support, read_uncertainty
+
+    file = mesh_of(result)
+    mesh, of_vertices = read_mesh(file), file.suffix.lower() == ".ply"
+    scene = recorded_scene(result, record_of(result))
+    coverage = propose_views(
+        mesh, scene, n,
+        support=read_support(file) if of_vertices else None,
+        uncertainty=read_uncertainty(file) if of_vertices else None,
+    )  # fmt: skip
+    say(coverage.summary())
+    if figure:
+        cameras = [view.camera for view in coverage.proposals]
+        drawn = save_figure(diagnose(scene), figure, proposed=cameras, missing=coverage.samples)
+        say({"cameras and missing surface": drawn})
 
 
 def _tell_of_views(scene: Scene, diagnosis: Diagnosis, path: Path) -> None:
