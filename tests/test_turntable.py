@@ -4,11 +4,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scenes import box_mesh, plain
 from sfm_world import FOCAL, HEIGHT, WIDTH, blocks, world
 
 from recon3d.calibration.turntable import Turntable, cameras_from_turntable, turntable_cameras
 from recon3d.datasets.synthetic import photograph
 from recon3d.errors import ArgumentError, CalibrationError
+from recon3d.io import open_scene
 from recon3d.io.files import write_image
 from recon3d.scene.camera import Camera
 
@@ -57,6 +59,26 @@ def test_pose_and_direction_are_found_from_matches(folder: Path, told: float) ->
     assert found.mm_per_unit == 1000
     assert found.reprojection_error < 1
     assert ("the other way than told" in found.notes["turntable"]) == (told < 0)
+
+
+def test_direction_and_pose_of_an_object_without_texture_are_found_from_silhouettes(tmp_path: Path) -> None:
+    """Told the wrong way round, and the tilt by two degrees."""
+    shape = box_mesh(1.2, 0.5, 0.4).translate((0.1, 0.1, 0.2)) + box_mesh(0.3, 0.3, 0.9).translate((-0.4, 0.2, 0.45))
+    true = turntable_cameras(K, 60.0 * np.arange(6), DISTANCE, RISE, 34.0, pan=1.5)
+    for n, view in enumerate(photograph(shape, plain, true, supersampling=1).views):
+        write_image(tmp_path / "photographs" / f"t{n}.png", view.image)
+    told = Turntable(-60.0, 1000 * DISTANCE, 1000 * RISE, 36.0, FOCAL)
+    found = cameras_from_turntable(tmp_path / "photographs", told, output=tmp_path / "scene")
+    assert "the other way than told" in found.notes["turntable"]
+    assert "silhouettes" in found.notes["pose of the camera"]
+    for camera, expected in zip(found.cameras, true, strict=True):
+        axis, right = camera.cam_from_world[2, :3], expected.cam_from_world[2, :3]
+        assert np.degrees(np.arccos(axis @ right)) < 0.5
+    assert open_scene(tmp_path / "scene").mm_per_unit == 1000
+    ramp = np.indices((HEIGHT, WIDTH)).sum(axis=0)[..., None].repeat(3, 2).astype(np.uint8)
+    write_image(tmp_path / "photographs" / "t0.png", ramp)
+    with pytest.raises(CalibrationError, match=r"matches were found .* background is not of one color"):
+        cameras_from_turntable(tmp_path / "photographs", told)
 
 
 def test_angles_that_are_not_those_of_the_photographs_are_refused(folder: Path) -> None:

@@ -114,8 +114,14 @@ class Calibration(Summarised):
             "photographs placed": f"{self.n_registered} of {self.n_registered + len(self.unplaced)}",
             "cameras": "; ".join(_lens(camera) for camera in lenses.values()),
             "points": len(self.points),
-            "photographs a point": f"{self.track_lengths.mean():.1f}",
-            "reprojection error (pixels)": f"{self.reprojection_error:.2f}",
+            **(
+                {
+                    "photographs a point": f"{self.track_lengths.mean():.1f}",
+                    "reprojection error (pixels)": f"{self.reprojection_error:.2f}",
+                }
+                if len(self.points)
+                else {}
+            ),
             "scale": "not known" if self.mm_per_unit is None else f"{self.mm_per_unit:g} mm a unit",
             **self.notes,
             **{f"not placed: {name}": reason for name, reason in self.unplaced.items()},

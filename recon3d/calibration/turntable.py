@@ -9,32 +9,27 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
-from itertools import combinations
+from functools import partial
 from pathlib import Path
-from typing import NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import least_squares
 
-from recon3d.calibration.epipolar import essential_matrix, sampson_distances
+from recon3d.calibration import turning_matches, turning_silhouettes
 from recon3d.calibration.features import GUESS_FOCAL
 from recon3d.calibration.photographs import PhotoFile, duplicates, find_photographs, unread
-from recon3d.calibration.result import CalibratedCamera, Calibration, Observations
+from recon3d.calibration.result import CalibratedCamera, Calibration
 from recon3d.calibration.writing import check_output, write_calibration
 from recon3d.errors import ArgumentError, CalibrationError
 from recon3d.io.calibration_record import CALIBRATION_FILE
 from recon3d.scene.camera import Camera
-from recon3d.scene.image_file import read_image
 from recon3d.tasks import StageProgress
 
-_RATIO = 0.8  # of the nearest to the second nearest descriptor
-_FAR = 45.0  # degrees: views farther apart are not matched
-_STILL = 1.0  # pixels: what moves less is no part of what turns
 _AGREES = 2.0  # pixels from the epipolar line
 _MIN_MATCHES = 50
 _MIN_SHARE = 0.5  # of the matches that must agree
+_MIN_EXPLAINED = 0.9  # of the silhouettes
 
 
 @dataclass(frozen=True)
@@ -115,9 +110,10 @@ def cameras_from_turntable(
 ) -> Calibration:
     """Cameras of a turntable's photographs, in the order of their names, one step from each to the next.
 
-    Tilt, pan and roll are adjusted to matches between neighbouring photographs. Angles, distance and focal length are
-    taken as they are, and so is the height, which only says where on the axis z is 0. Where the matches say that the
-    table turns the other way, it does, and the calibration's notes say so.
+    Tilt, pan and roll are adjusted to matches between neighbouring photographs. Where an object has too little texture
+    for them, tilt and pan are adjusted to its silhouettes before a background of one color. Angles, distance and focal
+    length are taken as they are, and so is the height, which only says where on the axis z is 0. Where matches or
+    silhouettes say that the table turns the other way, it does, and the calibration's notes say so.
 
     Parameters
     ----------
@@ -127,7 +123,7 @@ def cameras_from_turntable(
     Raises
     ------
     DataError : a photograph is missing or unreadable, or the output holds a scene of another origin.
-    CalibrationError : the matches do not agree with the angles, or there are too few.
+    CalibrationError : matches or silhouettes do not agree with the angles, or there are neither.
     """
     found = find_photographs(photographs)
     sizes = {(photograph.width, photograph.height) for photograph in found}
@@ -140,35 +136,23 @@ def cameras_from_turntable(
         check_output(Path(output), (photograph.path for photograph in found), CALIBRATION_FILE)
     K = _intrinsic(found[0], turntable)
     angles = turntable.step * np.arange(len(found), dtype=np.float64)
-    matches = _matches(found, angles, progress)
+    matches = turning_matches.matches_between(found, angles, progress)
     n_matches = sum(len(pair.pixels[0]) for pair in matches)
-    if n_matches < _MIN_MATCHES:
-        raise CalibrationError(
-            f"only {n_matches} matches were found between neighbouring photographs, {_MIN_MATCHES} are needed: take "
-            "smaller steps, give the object texture, or let the turntable carry a printed board (recon3d board)"
-        )
-    if progress is not None:
-        progress("turntable", 0, 2)
-    tried = []
-    for n, sign in enumerate((1.0, -1.0), start=1):
-        tried.append((*_fitted(matches, K, sign * angles, turntable), sign))
-        if progress is not None:
-            progress("turntable", n, 2)
-    poses, distances, sign = max(tried, key=lambda each: float(np.mean(each[1] < _AGREES)))
-    share = float(np.mean(distances < _AGREES))
-    if share < _MIN_SHARE:
-        raise CalibrationError(
-            f"only {100 * share:.0f}% of {n_matches} matches agree with the angles to {_AGREES:g} pixels. Does the "
-            f"table turn by {turntable.step:g} degrees a photograph, in the order of the names, before a still camera?"
-        )
+    if n_matches >= _MIN_MATCHES:
+        poses, kept, sign = _by_matches(matches, K, angles, turntable, progress)
+        how = f"{n_matches} matches"
+    else:
+        poses, sign = _by_silhouettes(found, K, angles, turntable, n_matches, progress)
+        kept, how = np.zeros(n_matches, np.bool_), "silhouettes: there are too few matches"
     cameras = tuple(
         CalibratedCamera(photograph.name, photograph.path, photograph.width, photograph.height, K, np.zeros(5), pose)
         for photograph, pose in zip(found, poses, strict=True)
     )
-    places, seen = _triangulated(matches, cameras, distances < _AGREES)
+    places, seen = turning_matches.triangulated(matches, cameras, kept)
     notes = {"turntable": "turns clockwise as seen from above" if sign * turntable.step < 0 else "counter-clockwise"}
     if sign < 0:
         notes["turntable"] = f"turns the other way than told: {notes['turntable']}"
+    notes["pose of the camera"] = f"adjusted to {how}"
     grey = np.full((len(places), 3), 128, np.uint8)
     calibration = Calibration(cameras, places, grey, seen, unread(photographs), mm_per_unit=1000.0, notes=notes)
     if output is not None:
@@ -176,12 +160,68 @@ def cameras_from_turntable(
     return calibration
 
 
-class _Pair(NamedTuple):
-    """Two photographs and what was matched between them."""
+def _by_matches(
+    matches: Sequence[turning_matches.Pair],
+    K: NDArray[np.float64],
+    angles: NDArray[np.float64],
+    turntable: Turntable,
+    progress: StageProgress | None,
+) -> tuple[NDArray[np.float64], NDArray[np.bool_], float]:
+    """Poses (n, 4, 4), which matches (m,) agree with them, and -1 where the table turns the other way, else 1."""
+    tried = []
+    for n, sign in enumerate((1.0, -1.0)):
+        if progress is not None:
+            progress("turntable", n, 2)
+        posed, start = partial(_posed, sign * angles, turntable), np.array([np.radians(turntable.tilt), 0.0, 0.0])
+        tried.append((*turning_matches.fitted(matches, K, posed, start), sign))
+    poses, distances, sign = max(tried, key=lambda each: float(np.mean(each[1] < _AGREES)))
+    share = float(np.mean(distances < _AGREES))
+    if share < _MIN_SHARE:
+        raise CalibrationError(
+            f"only {100 * share:.0f}% of {len(distances)} matches agree with the angles to {_AGREES:g} pixels. Does "
+            f"the table turn by {turntable.step:g} degrees a photograph, in the order of the names, before a still "
+            "camera?"
+        )
+    return poses, distances < _AGREES, sign
 
-    views: tuple[int, int]
-    pixels: tuple[NDArray[np.float64], NDArray[np.float64]]
-    """(n, 2) each."""
+
+def _by_silhouettes(
+    photographs: Sequence[PhotoFile],
+    K: NDArray[np.float64],
+    angles: NDArray[np.float64],
+    turntable: Turntable,
+    n_matches: int,
+    progress: StageProgress | None,
+) -> tuple[NDArray[np.float64], float]:
+    """Poses (n, 4, 4) with which silhouettes explain each other, and -1 where the table turns the other way, else 1."""
+    views = turning_silhouettes.reduced_views(photographs, K)
+    if views is None:
+        raise CalibrationError(
+            f"only {n_matches} matches were found between neighbouring photographs, {_MIN_MATCHES} are needed, and the "
+            "background is not of one color, which would show the silhouettes: take smaller steps, give the object "
+            "texture, or let the turntable carry a printed board (recon3d board)"
+        )
+    tilt = np.radians(turntable.tilt)
+    ways = {sign: partial(_posed, sign * angles, turntable) for sign in (1.0, -1.0)}
+    tried = {sign: turning_silhouettes.fitted(views, way, tilt, adjust=False) for sign, way in ways.items()}
+    if progress is not None:
+        progress("turntable", 0, 1)
+    sign = max(tried, key=lambda each: tried[each].explained)
+    tilt, pan, share = turning_silhouettes.fitted(views, ways[sign], tilt, adjust=True)
+    if progress is not None:
+        progress("turntable", 1, 1)
+    if share < _MIN_EXPLAINED:
+        raise CalibrationError(
+            f"only {n_matches} matches were found, and what lies in all silhouettes fills only {share:.0%} of the "
+            f"average one. Does the table turn by {turntable.step:g} degrees a photograph, in the order of the names, "
+            "before a still camera, and is nothing else to be seen before the background?"
+        )
+    return ways[sign](np.array([tilt, pan, 0.0])), sign
+
+
+def _posed(angles: NDArray[np.float64], turntable: Turntable, x: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(n, 4, 4) cam_from_world of tilt, pan and roll (3,), radians."""
+    return _poses(angles, turntable.distance / 1000, turntable.height / 1000, *np.degrees(x))
 
 
 def _intrinsic(photograph: PhotoFile, turntable: Turntable) -> NDArray[np.float64]:
@@ -203,87 +243,3 @@ def _poses(
         pose[:3, :3] = own @ level
         pose[:3, 3] = -pose[:3, :3] @ (distance * away + [0, 0, height])
     return poses
-
-
-def _matches(
-    photographs: Sequence[PhotoFile], angles: NDArray[np.float64], progress: StageProgress | None
-) -> list[_Pair]:
-    """Mutual matches of SIFT features between photographs of near angles, but for what stands still."""
-    sift, matcher, features = (
-        cv2.SIFT.create(4000, enable_precise_upscale=True),
-        cv2.BFMatcher(cv2.NORM_L2, crossCheck=False),
-        [],
-    )
-    for n, photograph in enumerate(photographs):
-        if progress is not None:
-            progress("features", n, len(photographs))
-        keypoints, found = sift.detectAndCompute(cv2.cvtColor(read_image(photograph.path), cv2.COLOR_RGB2GRAY), None)
-        pixels = np.array([point.pt for point in keypoints], np.float64).reshape(-1, 2)
-        features.append((pixels, found if found is not None else np.zeros((0, 128), np.float32)))
-    pairs = []
-    for a, b in combinations(range(len(photographs)), 2):
-        apart = abs((angles[b] - angles[a] + 180) % 360 - 180)
-        if not 0 < apart <= max(_FAR, abs(angles[1])) or min(len(features[n][1]) for n in (a, b)) < 2:
-            continue
-        forth, back = (matcher.knnMatch(features[i][1], features[j][1], k=2) for i, j in ((a, b), (b, a)))
-        nearest = {match[0].queryIdx: match[0].trainIdx for match in back}
-        good = [
-            (one.queryIdx, one.trainIdx)
-            for one, two in forth
-            if one.distance < _RATIO * two.distance and nearest.get(one.trainIdx) == one.queryIdx
-        ]
-        if not good:
-            continue
-        first, second = (features[n][0][list(index)] for n, index in zip((a, b), zip(*good, strict=True), strict=True))
-        moved = np.linalg.norm(first - second, axis=1) > _STILL
-        pairs.append(_Pair((a, b), (first[moved], second[moved])))
-    return pairs
-
-
-def _fitted(
-    matches: Sequence[_Pair], K: NDArray[np.float64], angles: NDArray[np.float64], turntable: Turntable
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Poses (n, 4, 4) that agree best with the matches, and pixels (m,) of each match from its epipolar line."""
-    distance, focal = turntable.distance / 1000, K[0, 0]
-    inverse = np.linalg.inv(K)
-    rays = [[np.column_stack([p, np.ones(len(p))]) @ inverse.T for p in pair.pixels] for pair in matches]
-
-    def poses(x: NDArray[np.float64]) -> NDArray[np.float64]:
-        return _poses(angles, distance, turntable.height / 1000, *np.degrees(x))
-
-    def residuals(x: NDArray[np.float64]) -> NDArray[np.float64]:
-        found = poses(x)
-        parts = []
-        for pair, (first, second) in zip(matches, rays, strict=True):
-            a, b = pair.views
-            parts.append(focal * sampson_distances(essential_matrix(found[b] @ np.linalg.inv(found[a])), first, second))
-        return np.concatenate(parts)
-
-    x = np.array([np.radians(turntable.tilt), 0.0, 0.0])
-    for width in (20.0, 1.0):  # pixels: first whatever is far off, too
-        x = least_squares(residuals, x, loss="cauchy", f_scale=width).x
-    return poses(x), residuals(x)
-
-
-def _triangulated(
-    matches: Sequence[_Pair], cameras: Sequence[CalibratedCamera], kept: NDArray[np.bool_]
-) -> tuple[NDArray[np.float64], Observations]:
-    """Points (n, 3) of the matches that are kept, each seen by two photographs."""
-    P = [camera.K @ camera.cam_from_world[:3] for camera in cameras]
-    places, views, pixels = [np.zeros((0, 3))], [], []
-    start = 0
-    for pair in matches:
-        n = len(pair.pixels[0])
-        mine, start = kept[start : start + n], start + n
-        a, b = (p[mine] for p in pair.pixels)
-        if not len(a):
-            continue
-        points = cv2.triangulatePoints(P[pair.views[0]], P[pair.views[1]], a.T, b.T)
-        places.append((points[:3] / points[3]).T)
-        views.append(np.repeat(np.array(pair.views), len(a)))
-        pixels.append(np.vstack([a, b]))
-    counts = [len(part) for part in places[1:]]
-    starts = np.concatenate([[0], np.cumsum(counts)])
-    index = [np.tile(np.arange(first, first + n), 2) for first, n in zip(starts[:-1], counts, strict=True)]
-    seen = Observations(np.concatenate(views), np.concatenate(index).astype(np.int64), np.concatenate(pixels))
-    return np.vstack(places), seen

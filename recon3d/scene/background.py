@@ -41,11 +41,22 @@ def difference(image: NDArray[np.uint8], color: tuple[int, int, int] = BLACK) ->
 
 def has_plain_frame(image: NDArray[np.uint8]) -> bool:
     """Whether the frame of an RGB image (height, width, 3) is of about one color, as before a backdrop."""
+    frame = _frame(image)
+    return bool(np.median(np.abs(frame - np.median(frame, axis=0)).max(axis=1)) <= _PLAIN)
+
+
+def frame_color(image: NDArray[np.uint8]) -> tuple[int, int, int]:
+    """Median color, RGB, of the frame of an image (height, width, 3)."""
+    red, green, blue = (int(value) for value in np.median(_frame(image), axis=0))
+    return red, green, blue
+
+
+def _frame(image: NDArray[np.uint8]) -> NDArray[np.int64]:
+    """(n, 3) pixels of an RGB image's frame."""
     width = max(1, round(_FRAME * min(image.shape[:2])))
     inner = np.zeros(image.shape[:2], np.bool_)
     inner[width:-width, width:-width] = True
-    frame = image[~inner].astype(np.int64)
-    return bool(np.median(np.abs(frame - np.median(frame, axis=0)).max(axis=1)) <= _PLAIN)
+    return image[~inner].astype(np.int64)
 
 
 def background_color(views: Iterable[View], bounds: Bounds) -> tuple[int, int, int]:
