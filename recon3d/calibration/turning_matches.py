@@ -34,7 +34,12 @@ class Pair(NamedTuple):
 def matches_between(
     photographs: Sequence[PhotoFile], angles: NDArray[np.float64], progress: StageProgress | None
 ) -> list[Pair]:
-    """Mutual matches of SIFT features between photographs of near angles, but for what stands still."""
+    """Mutual matches of SIFT features between photographs of near angles, but for what stands still.
+
+    Parameters
+    ----------
+    angles : (n,) degrees by which the table has turned.
+    """
     sift, matcher, features = (
         cv2.SIFT.create(4000, enable_precise_upscale=True),
         cv2.BFMatcher(cv2.NORM_L2, crossCheck=False),

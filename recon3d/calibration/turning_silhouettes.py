@@ -23,7 +23,7 @@ from recon3d.scene.view import View
 _LONG_SIDE = 240  # pixels of the reduced photographs
 _VIEWS = 10  # that are compared
 _STEP = float(np.radians(2.0))  # of the first simplex
-_TRIED = 25  # poses, in each box
+_TRIED = 18  # poses, in each box
 _MARGINS = (0.15, 0.02)  # of the longest side, around what lies in all silhouettes of the pose before
 
 Poses = Callable[[NDArray[np.float64]], NDArray[np.float64]]
