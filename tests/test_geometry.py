@@ -14,16 +14,8 @@ from scenes import ball_mesh, ball_volume
 
 from recon3d.errors import DataError
 from recon3d.io.files import atomic_path, write_image, write_json, write_text
-from recon3d.io.geometry import (
-    MESH_SUFFIXES,
-    from_arrays,
-    geometry_arrays,
-    read_geometry,
-    read_mesh,
-    read_support,
-    read_uncertainty,
-    write_geometry,
-)
+from recon3d.io.geometry import MESH_SUFFIXES, from_arrays, geometry_arrays, write_geometry
+from recon3d.io.reading_geometry import read_geometry, read_mesh, read_support, read_uncertainty
 from recon3d.scene.image_file import read_image
 
 
@@ -143,10 +135,10 @@ def test_support_that_does_not_fit_is_refused(tmp_path: Path) -> None:
         write_geometry(tmp_path / "a.ply", ball_mesh(), support=np.zeros(3, np.int64))
     path = write_geometry(tmp_path / "b.ply", ball_mesh(), support=np.zeros(len(ball_mesh().vertices), np.int64))
     path.write_bytes(path.read_bytes()[:500])
-    with pytest.raises(DataError, match=r"b\.ply: expected \d+ vertices, got \d+"):
+    with pytest.raises(DataError, match=r"b\.ply: says that it holds \d+ elements in 500 bytes"):
         read_support(path)
     path.write_text("ply\nformat ascii 1.0\nelement vertex 1\nproperty int support\nend_header\n3\n")
-    with pytest.raises(DataError, match="expected a PLY file as write_geometry writes it"):
+    with pytest.raises(DataError, match="got a file that cannot be read"):
         read_support(path)
 
 
@@ -215,7 +207,7 @@ def test_a_missing_file_is_an_error(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["a.ply", "a.obj", "a.stl", "a.xyz"])
 def test_an_unreadable_geometry_is_an_error(tmp_path: Path, name: str) -> None:
     (tmp_path / name).write_text("nothing of the kind\n")
-    with pytest.raises(DataError, match="expected a mesh, point cloud or voxel grid, got nothing that Open3D can read"):
+    with pytest.raises(DataError, match="expected a mesh, point cloud or voxel grid, got "):
         read_geometry(tmp_path / name)
 
 

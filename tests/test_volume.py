@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from scenes import ball_volume, full_volume, rotation
 
 from recon3d.errors import EmptyReconstructionError, VolumeTooLargeError
-from recon3d.io.geometry import read_geometry, write_geometry
+from recon3d.io.geometry import write_geometry
+from recon3d.io.reading_geometry import read_geometry
 from recon3d.scene.bounds import Bounds
 from recon3d.volume.carved import CarvedVolume
 from recon3d.volume.dense import CarvingVolume

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from recon3d.errors import DataError
 from recon3d.evaluation.distances import Evaluation, evaluate, triangles_near
-from recon3d.io.geometry import read_geometry, read_mesh, read_support
+from recon3d.io.reading_geometry import read_geometry, read_mesh, read_support
 from recon3d.surface.visibility import keep_vertices
 
 

@@ -1,4 +1,4 @@
-"""Open3D geometry in and out of files."""
+"""Open3D geometry into files, and its arrays."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 import open3d as o3d
 from numpy.typing import NDArray
 
-from recon3d.errors import ArgumentError, DataError
+from recon3d.errors import ArgumentError
 from recon3d.io.files import atomic_path
 
 if TYPE_CHECKING:  # it takes a second to import, and PLY files need none
@@ -95,69 +95,6 @@ def write_geometry(
     return path
 
 
-def read_geometry(path: Path | str) -> Geometry:
-    """Read a mesh, a point cloud or a voxel grid; a PLY's header says which it is.
-
-    Raises
-    ------
-    DataError : missing, unreadable or empty.
-    """
-    path = Path(path)
-    if not path.is_file():
-        raise DataError(f"{path}: no such file")
-    header = _ply_header(path) if path.suffix.lower() == ".ply" else ""
-    geometry: Geometry
-    if "element voxel_size" in header:
-        geometry = o3d.io.read_voxel_grid(path)
-        empty = not geometry.has_voxels()
-    elif "element vertex" in header and "element face" not in header:
-        geometry = o3d.io.read_point_cloud(path)
-        empty = not geometry.has_points()
-    else:
-        geometry = o3d.io.read_triangle_mesh(path)
-        empty = not geometry.has_triangles()
-    if empty:
-        raise DataError(f"{path}: expected a mesh, point cloud or voxel grid, got nothing that Open3D can read")
-    return geometry
-
-
-def read_support(path: Path | str) -> NDArray[np.int64] | None:
-    """(n_vertices,) how many views see each vertex of a mesh that was written as PLY; None where the file has none.
-
-    Raises
-    ------
-    DataError : missing, cut short, or written by another program.
-    """
-    values = _vertex_property(Path(path), "support")
-    return None if values is None else values.astype(np.int64)
-
-
-def read_uncertainty(path: Path | str) -> NDArray[np.float64] | None:
-    """(n_vertices,) predicted distance of each vertex of a mesh to the true surface, as ``write_geometry`` wrote it.
-
-    World units; infinite where the surface was filled. None where the file has none.
-
-    Raises
-    ------
-    DataError : missing, cut short, or written by another program.
-    """
-    values = _vertex_property(Path(path), "uncertainty")
-    return None if values is None else values.astype(np.float64)
-
-
-def read_mesh(path: Path | str) -> o3d.geometry.TriangleMesh:
-    """Read a triangle mesh.
-
-    Raises
-    ------
-    DataError : missing, unreadable, empty or not a mesh.
-    """
-    geometry = read_geometry(path)
-    if not isinstance(geometry, o3d.geometry.TriangleMesh):
-        raise DataError(f"{path}: expected a triangle mesh, got a {type(geometry).__name__}")
-    return geometry
-
-
 def geometry_arrays(geometry: o3d.geometry.TriangleMesh | o3d.geometry.PointCloud) -> dict[str, NDArray[Any]]:
     """All arrays of a legacy mesh or cloud, its textures among them; these pickle, the geometry does not."""
     arrays = {name: np.array(getattr(geometry, name)) for name in _ARRAYS if hasattr(geometry, name)}
@@ -211,24 +148,6 @@ def _write_ply(
     return len(vertices) > 0
 
 
-def _vertex_property(path: Path, name: str) -> NDArray[Any] | None:
-    """(n_vertices,) a property of the vertices of a PLY file as ``_write_ply`` writes it; None where it has none."""
-    if not path.is_file():
-        raise DataError(f"{path}: no such file")
-    header = _ply_header(path)
-    lines = [line.split() for line in header.partition("element vertex ")[2].partition("element ")[0].splitlines()]
-    properties = [(line[2], line[1]) for line in lines[1:] if line[0] == "property"]
-    if name not in dict(properties):
-        return None
-    if "binary_little_endian" not in header or not {kind for _, kind in properties} <= set(_PLY_TYPES):
-        raise DataError(f"{path}: expected a PLY file as write_geometry writes it, got another program's")
-    row = np.dtype([(each, _PLY_TYPES[kind]) for each, kind in properties])
-    vertices = np.fromfile(path, row, int(lines[0][0]), offset=len(header) + len("end_header\n"))
-    if len(vertices) < int(lines[0][0]):
-        raise DataError(f"{path}: expected {lines[0][0]} vertices, got {len(vertices)}")
-    return np.asarray(vertices[name])
-
-
 def _eight_bits(colors: o3d.utility.Vector3dVector) -> NDArray[np.uint8]:
     """(n, 3) colours, 0 to 255."""
     return np.asarray(np.rint(255 * np.clip(np.asarray(colors), 0, 1)), np.uint8)
@@ -245,9 +164,3 @@ def _to_trimesh(mesh: o3d.geometry.TriangleMesh) -> trimesh.Trimesh:
         vertex_colors=_eight_bits(mesh.vertex_colors) if mesh.has_vertex_colors() else None,
         process=False,
     )
-
-
-def _ply_header(path: Path) -> str:
-    """Text of a PLY file up to the end of its header."""
-    with path.open("rb") as file:
-        return file.read(4096).split(b"end_header")[0].decode("ascii", "replace")

@@ -8,7 +8,8 @@ import numpy as np
 import open3d as o3d
 
 from recon3d.io.files import write_image
-from recon3d.io.geometry import read_mesh, write_geometry
+from recon3d.io.geometry import write_geometry
+from recon3d.io.reading_geometry import read_mesh
 from recon3d.rendering.renderer import Renderer
 from recon3d.rendering.sheets import comparison_sheet, turntable
 from recon3d.reporting.error_maps import error_map

@@ -65,7 +65,7 @@ def command(
     from open3d.geometry import TriangleMesh
 
     from recon3d.evaluation.files import evaluate_files
-    from recon3d.io.geometry import read_geometry
+    from recon3d.io.reading_geometry import read_geometry
     from recon3d.reporting.figures import save_evaluation
     from recon3d.reporting.pictures import save_error_maps
 
@@ -114,7 +114,8 @@ def _aligned(reconstruction: Path, ground_truth: Path, folder: Path, cameras: st
     from open3d.geometry import PointCloud, TriangleMesh
 
     from recon3d.evaluation.alignment import align
-    from recon3d.io.geometry import read_geometry, read_support, read_uncertainty, write_geometry
+    from recon3d.io.geometry import write_geometry
+    from recon3d.io.reading_geometry import read_geometry, read_support, read_uncertainty
     from recon3d.scene.similarity import Similarity
 
     file = mesh_of(reconstruction)

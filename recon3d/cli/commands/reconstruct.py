@@ -154,7 +154,7 @@ def command(
     ] = 100.0,
 ) -> None:
     """Reconstruct a coloured mesh, points and voxels from photographs; plain ones are calibrated first."""
-    from recon3d.io.geometry import read_mesh
+    from recon3d.io.reading_geometry import read_mesh
     from recon3d.io.refined_cameras import REFINED_FILE
     from recon3d.settings import Settings
     from recon3d.stereo import PASSES

@@ -35,7 +35,7 @@ def command(
     output: options.Output = None,
 ) -> None:
     """Render a result from its input cameras, beside the photographs, and from all around."""
-    from recon3d.io.geometry import read_mesh, read_uncertainty
+    from recon3d.io.reading_geometry import read_mesh, read_uncertainty
     from recon3d.reporting.pictures import save_pictures
     from recon3d.reporting.uncertainty_maps import save_uncertainty
 
