@@ -125,6 +125,9 @@ def _by_ply(path: Path, content: bytes) -> tuple[dict[str, Any], dict[str, Any]]
         elements: dict[str, Any] = found["metadata"]["_ply_raw"]
         if "vertices" not in found or "data" not in elements["vertex"]:
             raise ValueError("no vertices")
+        for name in ("vertices", "vertex_normals", "vertex_colors"):
+            found[name] = None if found.get(name) is None else np.asarray(found[name])
+        found["vertices"] = found["vertices"].astype(np.float64)
     except Exception as error:  # whatever a damaged file leads to
         raise _unreadable(path, error) from None
     return found, elements
