@@ -84,7 +84,7 @@ def _tell_of_next_views(result: Path, n: int, figure: Path | None) -> None:
     from recon3d.diagnosis import diagnose
     from recon3d.diagnosis.figure import save_figure
     from recon3d.evaluation import propose_views
-    from recon3d.io.geometry import read_mesh, read_support, read_uncertainty
+    from recon3d.io.reading_geometry import read_mesh, read_support, read_uncertainty
 
     file = mesh_of(result)
     mesh, of_vertices = read_mesh(file), file.suffix.lower() == ".ply"
