@@ -20,7 +20,6 @@ from recon3d.scene.regions import bounds_mask
 from recon3d.scene.scene import Scene
 from recon3d.scene.view import View
 from recon3d.settings import Settings, choose_views
-from recon3d.surface.poisson import octree_depth
 from recon3d.volume.lattice import BYTES_PER_VOXEL
 
 Detail = Literal["auto", "full", "half", "quarter"]
@@ -37,18 +36,24 @@ MOST_SECONDS = 600.0
 
 _GIB, _MIB = 2**30, 2**20
 _LOOKED_AT, _SMALL = 12, 0.125  # views, and their scale, of which the covered share is taken
+_AROUND = 120.0  # degrees between two views' directions above which views stand all around
+_SPACING = 1.5  # of the matched points, pixel footprints
 
-# Measured with ``scripts/measure_needs.py``; see there.
-_BYTES_FIXED = 300 * _MIB  # what is imported, and compiled code
+# Fitted to runs that scripts/measure_needs.py measures.
+_BYTES_FIXED = 380 * _MIB  # what is imported, and compiled code
 _BYTES_OF_BAND = 180 * _MIB  # rays that are cast at a time
 _BYTES_OF_FUSED = 260  # a matched pixel, of the one view whose planes are averaged
-_BYTES_OF_POINT = 300  # a matched point, while Poisson reads it
-_BYTES_OF_TRIANGLE = 420  # of the mesh, while it is measured
+_BYTES_OF_POINT, _BYTES_OF_NODE = 250, 250  # a matched point and a triangle, while Poisson makes it
+_BYTES_OF_KEPT_POINT, _BYTES_OF_TRIANGLE = 100, 400  # the same while the mesh is repaired, seen and measured
+_CONFIRMED = 0.5  # of the matched pixels, which become points
+_IN_BOX = 0.5  # of what the bounds cover in a view, where the object's mask is still to be made
 _TRIANGLES_OF_CELL = 2.3  # that a surface cuts out of a cell's face
-_SECONDS_FIXED = 12.0
+_FILLERS = 20  # triangles for each voxel's face of the hull's unmeasured surface
+_UNMEASURED = 0.08  # of the area of the bounds' faces, where views stand all around; about all of it where they do not
+_SECONDS_FIXED = 6.0
 _SECONDS_OF_VOXEL = 4e-7  # and view
-_SECONDS_OF_PIXEL = 1.3e-5  # that shows what may be the object, and is matched in all passes
-_SECONDS_OF_TRIANGLE = 4e-5
+_SECONDS_OF_PIXEL = 1.8e-5  # that shows what may be the object, and is matched in all passes
+_SECONDS_OF_TRIANGLE = 4.5e-5
 _BYTES_OF_STORED = 21  # a pixel of a view and pass in the temporary file
 
 
@@ -92,6 +97,8 @@ class _Extent:
     """Area of the object, pixel footprints squared."""
     footprint: float
     """World units."""
+    all_around: bool
+    """Whether views stand on all sides."""
 
     @classmethod
     def of(cls, scene: Scene) -> _Extent:
@@ -101,7 +108,8 @@ class _Extent:
         share = float(np.mean([_covered_share(view, scene.bounds) for view in some]))
         pixels = float(sum(view.width * view.height for view in views))
         # The sides of a convex body have four times the area of its shadow, on average over all directions (Cauchy).
-        sides = 4 if np.nanmax(viewing_angles(scene.centers, scene.bounds.center)) > 120 else 2
+        all_around = bool(np.nanmax(viewing_angles(scene.centers, scene.bounds.center)) > _AROUND)
+        sides = 4 if all_around else 2
         return cls(
             len(views),
             pixels,
@@ -109,6 +117,7 @@ class _Extent:
             share * pixels,
             sides * share * pixels / len(views),
             scene.pixel_footprint,
+            all_around,
         )
 
     def at(self, scale: float) -> _Extent:
@@ -116,7 +125,7 @@ class _Extent:
         square = scale**2
         return _Extent(
             self.n_views, self.pixels * square, self.padded * square, self.covered * square, self.surface * square,
-            self.footprint / scale,
+            self.footprint / scale, self.all_around,
         )  # fmt: skip
 
 
@@ -193,17 +202,18 @@ def _needs(scene: Scene, settings: Settings, extent: _Extent) -> Needs:
     scale = min(1.0, reading_scale(scene, lattice.voxel_size) * extent.footprint / scene.pixel_footprint)
     read = scale**2 * extent.pixels  # by carving
     last = passes[-1]
-    matched = extent.covered / last.stride**2
+    points = _CONFIRMED * extent.covered / last.stride**2
     others = min(last.neighbours, extent.n_views - 1)
-    extents = scene.bounds.extent / extent.footprint
-    cell = float(max(extents)) / 2 ** octree_depth(float(max(extents)), 1.5)
-    triangles = _TRIANGLES_OF_CELL * extent.surface / cell**2
+    x, y, z = scene.bounds.extent / lattice.voxel_size
+    unmeasured = 2 * (x * y + y * z + z * x) * (_UNMEASURED if extent.all_around else 1.0)
+    triangles = _TRIANGLES_OF_CELL * extent.surface / _SPACING**2 + _FILLERS * unmeasured
     stages = {
-        "carving": voxels + 12 * read + 8 * extent.pixels,
+        "carving": voxels + 12 * read,
         "matching": 8 * extent.padded * (2 * others + 3) + _BYTES_OF_BAND + 4 * read,
-        "fusion": _BYTES_OF_FUSED * extent.padded / last.stride**2 + 160 * matched + 4 * read,
-        "surface": _BYTES_OF_POINT * matched + _BYTES_OF_TRIANGLE * triangles + voxels / 2 + 4 * read,
-        "colors": 8 * extent.pixels + _BYTES_OF_BAND + _BYTES_OF_TRIANGLE / 2 * triangles,
+        "fusion": _BYTES_OF_FUSED * extent.padded / last.stride**2 + 160 * points + 4 * read,
+        "Poisson": _BYTES_OF_POINT * points + _BYTES_OF_NODE * triangles + voxels / 2 + 4 * read,
+        "surface": _BYTES_OF_KEPT_POINT * points + _BYTES_OF_TRIANGLE * triangles + voxels / 2 + 4 * read,
+        "colors": 60 * extent.padded + (extent.n_views + 100) * triangles / 2 + 4 * read,
     }
     seconds = carving_seconds + _SECONDS_OF_PIXEL * extent.covered + _SECONDS_OF_TRIANGLE * triangles
     return Needs(_BYTES_FIXED + kept + max(stages.values()), _BYTES_OF_STORED * extent.pixels, seconds)
@@ -213,7 +223,8 @@ def _covered_share(view: View, bounds: Bounds) -> float:
     """Share of a view's pixels that show what lies in the bounds, and in its mask where there is one already."""
     small = replace(view, mask=None if isinstance(view.mask, ComputedMask) else view.mask).shrunk(_SMALL)
     covered, silhouette = bounds_mask(bounds, small), small.silhouette
-    return float((covered if silhouette is None else covered & silhouette).mean())
+    share = float((covered if silhouette is None else covered & silhouette).mean())
+    return _IN_BOX * share if isinstance(view.mask, ComputedMask) else share
 
 
 def _rounded(seconds: float) -> float:
