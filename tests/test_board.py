@@ -73,7 +73,7 @@ def spoiled(view: View, seed: int) -> NDArray[np.uint8]:
 def photographs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Photographs of the board with the box, and one of nothing."""
     folder = tmp_path_factory.mktemp("board")
-    for n, view in enumerate(photograph(world(), paint, taken()).views):
+    for n, view in enumerate(photograph(world(), paint, taken(), supersampling=2).views):
         write_image(folder / f"photo{n:02d}.png", spoiled(view, n))
     write_image(folder / "wall.png", np.full((SIZE[1], SIZE[0], 3), 90, np.uint8))
     return folder

@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,17 +8,16 @@ import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from sfm_world import blocks, taken, world
 
 from recon3d.calibration.turntable import turntable_cameras
 from recon3d.datasets import little_temple
-from recon3d.datasets.synthetic import photograph
 from recon3d.diagnosis import Finding, check_scene, diagnose
+from recon3d.diagnosis import matches as diagnosis_matches
 from recon3d.diagnosis.epipolar import Cameras
 from recon3d.diagnosis.figure import save_figure
 from recon3d.diagnosis.half_pixel import half_pixel_findings
 from recon3d.diagnosis.hypotheses import reordered
-from recon3d.diagnosis.matches import Matches
+from recon3d.diagnosis.matches import Matches, Picture
 from recon3d.diagnosis.order import assigned
 from recon3d.io import open_scene
 from recon3d.scene.bounds import Bounds
@@ -31,10 +30,40 @@ Pose = NDArray[np.float64]
 Intrinsics = NDArray[np.float64]
 
 
+@pytest.fixture(scope="module", autouse=True)
+def features_once() -> Iterator[None]:
+    """Features of a photograph, and matches of two, are found once, for all scenes whose cameras alone are broken."""
+    found: dict[object, Picture] = {}
+    trusted: dict[object, NDArray[np.float64] | None] = {}
+    kept: list[Picture] = []
+    find, match = Picture.of, diagnosis_matches._trusted
+
+    def of(view: View) -> Picture:
+        if view.mask is not None:
+            return find(view)
+        key = view.photograph
+        if key not in found:
+            found[key] = find(view)
+        size = found[key].camera.width / view.width
+        return replace(found[key], view=view, camera=view.calibration.at(size))
+
+    def matched(a: Picture, b: Picture) -> NDArray[np.float64] | None:
+        key = (id(a.descriptors), id(b.descriptors))
+        if key not in trusted:
+            trusted[key] = match(a, b)
+            kept.extend((a, b))  # or another array might get the number of one that is gone
+        return trusted[key]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Picture, "of", of)
+        patch.setattr(diagnosis_matches, "_trusted", matched)
+        yield
+
+
 @pytest.fixture(scope="module")
-def scene() -> Scene:
+def scene(sfm_scene: Scene) -> Scene:
     """A box on a plate, without masks, from an arc of twelve cameras at unequal steps."""
-    made = photograph(world(), blocks, taken())
+    made = sfm_scene
     views = [replace(view, mask=None) for n, view in enumerate(made.views) if n != 3]
     return replace(made, views=tuple(views), bounds=made.bounds.padded(0.2))
 
