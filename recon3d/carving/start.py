@@ -32,6 +32,9 @@ def clear_around_cameras(occupied: NDArray[np.bool_], scene: Scene, volume: Carv
         occupied[box] &= np.linalg.norm(grid - place, axis=-1) > _CLEARANCE
 
 
+_AT_A_TIME = 1 << 24  # pixels of silhouettes
+
+
 _SIDE = 0.05  # pixels that a silhouette's pixel is at least on its side of the outline
 
 
@@ -56,9 +59,10 @@ def hull_distance(scene: Scene, volume: CarvingVolume, *, tolerance: int = 0) ->
     views = _checked(scene, tolerance)
     limit = np.float32(BAND * volume.voxel_size)
     field = np.full(volume.shape, limit, np.float32)
-    # The smallest distance of all can be found one view after the other.
-    for part in [views] if tolerance else [(view,) for view in views]:
-        silhouette_distance(volume.lattice.packed, _outlines(part, tolerance), field)
+    # The smallest distance of all can be found of some views after the others.
+    most = len(views) if tolerance else max(1, _AT_A_TIME // max(view.width * view.height for view in views))
+    for first in range(0, len(views), most):
+        silhouette_distance(volume.lattice.packed, _outlines(views[first : first + most], tolerance), field)
     if not (volume.occupied & (field > 0)).any():
         raise nothing_inside(scene, lambda alone: float((hull_distance(alone, volume) > 0).mean()))
     return np.maximum(field, -limit)
