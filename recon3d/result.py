@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from recon3d._version import __version__
 from recon3d.evaluation.distances import Evaluation
 from recon3d.evaluation.photographs import Quality
+from recon3d.evaluation.thin_parts import lost_thin_parts
 from recon3d.io.geometry import from_arrays, geometry_arrays
 from recon3d.rendering.renderer import Renderer
 from recon3d.rendering.sheets import turntable
@@ -94,6 +95,17 @@ class Reconstruction(Summarised):
             return None
         return (
             f"the result cannot be right: {told}; recon3d info tells what may be wrong with cameras, masks and bounds"
+        )
+
+    def lost_parts(self) -> str | None:
+        """One sentence on long parts of the silhouettes that are thinner than the voxels, and lost; None: none are."""
+        lost = lost_thin_parts(self.mesh, self.scene.views, self.scene.bounds, self.carved.lattice.voxel_size)
+        if lost is None:
+            return None
+        return (
+            f"thin parts that the silhouettes show are not in the mesh ({', '.join(lost.views[:3])}"
+            f"{' ...' * (len(lost.views) > 3)}): they are thinner than a voxel of {self.carved.lattice.voxel_size:.3g} "
+            f"world units; --voxel-size {lost.voxel_size:.2g} may keep them"
         )
 
     def supported_mesh(self) -> o3d.geometry.TriangleMesh:

@@ -204,3 +204,5 @@ def command(
     say(written)
     if doubt := result.doubt():
         warnings.warn(f"{loaded.name}: {doubt}", stacklevel=1)
+    elif lost := result.lost_parts():
+        warnings.warn(f"{loaded.name}: {lost}", stacklevel=1)
