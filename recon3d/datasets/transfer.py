@@ -112,7 +112,14 @@ class _Arriving:
         return {"Accept-Encoding": "identity", **asked}
 
     def begin(self, response: Any, *_given: Any, **_options: Any) -> None:
-        """See from the head of an answer where its data belong."""
+        """See from the head of an answer where its data belong; one that is of no use is closed."""
+        try:
+            self._begin(response)
+        except Exception:
+            response.close()
+            raise
+
+    def _begin(self, response: Any) -> None:
         import requests
 
         self.begun = True
