@@ -64,6 +64,8 @@ def receive(url: str, part: Path, progress: StageProgress) -> None:
                     raise DownloadError(f"{told}; type it again to resume") from None
             except requests.RequestException as error:
                 raise DownloadError(f"{url}: cannot be downloaded ({error})") from None
+            finally:
+                arriving.close()
             time.sleep(PAUSE)
 
 
@@ -97,6 +99,7 @@ class _Arriving:
         """Whether the server has answered with data, this time."""
         self._file, self._version, self._progress = file, version, progress
         self._total: int | None = None
+        self._answers: list[Any] = []
 
     @property
     def size(self) -> int:
@@ -112,17 +115,11 @@ class _Arriving:
         return {"Accept-Encoding": "identity", **asked}
 
     def begin(self, response: Any, *_given: Any, **_options: Any) -> None:
-        """See from the head of an answer where its data belong; one that is of no use is closed."""
-        try:
-            self._begin(response)
-        except Exception:
-            response.close()
-            raise
-
-    def _begin(self, response: Any) -> None:
+        """See from the head of an answer where its data belong."""
         import requests
 
         self.begun = True
+        self._answers.append(response)
         if response.status_code == 416 or (response.status_code == 206 and not self._goes_on(response)):
             self._drop()
             raise requests.ConnectionError("the server cannot resume")
@@ -157,6 +154,11 @@ class _Arriving:
             raise requests.ConnectionError("the connection was cut")
         self._version.unlink(missing_ok=True)
         self._progress("downloading", self.size, max(self.size, 2))
+
+    def close(self) -> None:
+        """Close the connections of all answers; one that was cut or refused would stay open."""
+        while self._answers:
+            self._answers.pop().close()
 
     def _goes_on(self, response: Any) -> bool:
         return bool(self.size) and response.headers.get("Content-Range", "").startswith(f"bytes {self.size}-")
