@@ -29,8 +29,8 @@ from recon3d.calibration.photographs import PhotoFile, find_photographs
 from recon3d.calibration.result import CalibratedCamera, Observations
 from recon3d.calibration.structure_from_motion import WORK_FOLDER
 from recon3d.calibration.writing import quaternion, undistort, undistorted
-from recon3d.cli.arguments import record_of, recorded_scene
 from recon3d.cli.entry import app
+from recon3d.cli.results import record_of, recorded_scene
 from recon3d.datasets.synthetic import Camera, photograph
 from recon3d.errors import ArgumentError, CalibrationError, DataError, SceneError
 from recon3d.io import open_scene

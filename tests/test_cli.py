@@ -17,7 +17,8 @@ import pytest
 
 import recon3d
 from recon3d import cli
-from recon3d.cli.arguments import plain_photographs, record_of, recorded_scene
+from recon3d.cli.results import record_of, recorded_scene
+from recon3d.cli.scenes import plain_photographs
 from recon3d.datasets import BuiltInScene
 from recon3d.io import read_support, write_middlebury
 from recon3d.io.files import write_image
@@ -277,7 +278,7 @@ def test_a_bug_is_told_as_one_and_not_as_the_users_mistake(
     def broken(*_: object, **__: object) -> None:
         raise error
 
-    monkeypatch.setattr("recon3d.io.geometry.read_mesh", broken)
+    monkeypatch.setattr("recon3d.io.reading_geometry.read_mesh", broken)
     monkeypatch.setattr(warnings, "showwarning", warnings.showwarning)  # which it replaces
     monkeypatch.setattr("sys.argv", ["recon3d", "render", "some.ply"])
     with pytest.raises(SystemExit) as caught:

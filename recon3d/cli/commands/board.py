@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from recon3d.cli.arguments import say
+from recon3d.cli.console import say
 from recon3d.cli.options import OUTPUT
 
 

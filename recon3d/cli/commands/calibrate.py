@@ -8,8 +8,10 @@ from typing import Annotated
 import typer
 
 from recon3d.cli import options
-from recon3d.cli.arguments import calibrated, say, writable
+from recon3d.cli.console import say
 from recon3d.cli.options import INPUT, OUTPUT
+from recon3d.cli.results import writable
+from recon3d.cli.scenes import calibrated
 
 
 def command(

@@ -9,8 +9,11 @@ import typer
 
 from recon3d.checks import require_number
 from recon3d.cli import options
-from recon3d.cli.arguments import load, make_method, names_of, progress, say, sweep_of, views_of, writable
+from recon3d.cli.arguments import make_method, names_of, sweep_of, views_of
+from recon3d.cli.console import progress, say
 from recon3d.cli.options import CARVING, INPUT, MEASURING
+from recon3d.cli.results import writable
+from recon3d.cli.scenes import load
 from recon3d.errors import ArgumentError
 
 TESTS = "Tests"

@@ -9,8 +9,9 @@ from typing import Annotated
 import typer
 
 from recon3d.cli import options
-from recon3d.cli.arguments import load, progress, say
+from recon3d.cli.console import progress, say
 from recon3d.cli.options import OUTPUT
+from recon3d.cli.scenes import load
 
 
 class Form(StrEnum):

@@ -9,7 +9,9 @@ from typing import Annotated
 import typer
 
 from recon3d.cli import options
-from recon3d.cli.arguments import photograph, run, save, say, writable
+from recon3d.cli.console import run, say
+from recon3d.cli.results import save, writable
+from recon3d.cli.scenes import photograph
 
 
 def command(

@@ -10,7 +10,9 @@ import typer
 
 from recon3d.checks import require_number
 from recon3d.cli import options
-from recon3d.cli.arguments import beside, load, mesh_of, progress, record_of, recorded_scene, say, writable
+from recon3d.cli.console import progress, say
+from recon3d.cli.results import beside, mesh_of, record_of, recorded_scene, writable
+from recon3d.cli.scenes import load
 from recon3d.errors import ArgumentError
 
 

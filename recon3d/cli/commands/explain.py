@@ -9,17 +9,9 @@ from typing import Annotated
 import typer
 
 from recon3d.cli import options
-from recon3d.cli.arguments import (
-    beside,
-    numbers_of,
-    pixel_of,
-    progress,
-    record_of,
-    recorded_scene,
-    recorded_settings,
-    say,
-    writable,
-)
+from recon3d.cli.arguments import numbers_of, pixel_of
+from recon3d.cli.console import progress, say
+from recon3d.cli.results import beside, record_of, recorded_scene, recorded_settings, writable
 from recon3d.errors import ArgumentError
 
 

@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from recon3d.cli import options
-from recon3d.cli.arguments import at_detail, doubts, load, mesh_of, record_of, recorded_scene, say, warn_of_doubts
+from recon3d.cli.console import say
+from recon3d.cli.results import mesh_of, record_of, recorded_scene
+from recon3d.cli.scenes import at_detail, doubts, load, warn_of_doubts
 from recon3d.errors import ArgumentError, Recon3dError
 
 if TYPE_CHECKING:

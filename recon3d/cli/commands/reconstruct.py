@@ -10,22 +10,19 @@ from typing import Annotated
 import typer
 
 from recon3d.cli import options
-from recon3d.cli.arguments import (
+from recon3d.cli.arguments import make_method, views_of
+from recon3d.cli.console import run, say
+from recon3d.cli.options import ADVANCED, CARVING, INPUT, MATCHING, MEASURING, OUTPUT, SURFACE
+from recon3d.cli.results import save, writable
+from recon3d.cli.scenes import (
     at_detail,
     calibrated,
     doubts,
     load,
-    make_method,
     plain_photographs,
-    run,
-    save,
-    say,
-    views_of,
     warn_of_findings,
     with_adjusted_cameras,
-    writable,
 )
-from recon3d.cli.options import ADVANCED, CARVING, INPUT, MATCHING, MEASURING, OUTPUT, SURFACE
 from recon3d.errors import ArgumentError
 
 

@@ -1,0 +1,108 @@
+"""Folders of results, and what is recorded in them."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from recon3d.cli.console import progress
+from recon3d.cli.scenes import load
+from recon3d.errors import ArgumentError, DataError
+
+if TYPE_CHECKING:  # Open3D takes seconds to import, --help should not
+    from recon3d.result import Reconstruction
+    from recon3d.scene.scene import Scene
+    from recon3d.settings import Settings
+
+
+def save(result: Reconstruction, folder: Path, formats: list[str], *, pictures: bool = True) -> dict[str, Path]:
+    """Write a result and, where it was measured, its curves."""
+    from recon3d.reporting.figures import save_evaluation
+    from recon3d.reporting.saving import save as save_result
+
+    with progress() as report:
+        report("writing", 0, 1)
+        written = save_result(result, folder, mesh_formats=formats, pictures=pictures)
+        if result.evaluation:
+            written |= save_evaluation(result.evaluation, folder)
+        report("writing", 1, 1)
+    return written
+
+
+def mesh_of(result: Path) -> Path:
+    """The mesh file of a result folder, or the file itself."""
+    from recon3d.io.geometry import MESH_SUFFIXES
+
+    found = [result / f"mesh{suffix}" for suffix in MESH_SUFFIXES if (result / f"mesh{suffix}").is_file()]
+    if result.is_dir() and not found:
+        raise DataError(f"{result}: expected the folder of a result, with a mesh in it")
+    return found[0] if result.is_dir() else result
+
+
+def record_of(result: Path) -> dict[str, Any] | None:
+    """What is recorded of the scene of a result's folder or file, and of what was done; None without a record."""
+    file = (result if result.is_dir() else result.parent) / "record.json"
+    if not file.is_file():
+        return None
+    try:
+        record: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+        scene = record["scene"]
+        low, high = scene["bounds"]
+        return {
+            "views": [str(name) for name in scene["views"]],
+            "bounds": [float(x) for corner in (low, high) for x in corner],
+            "mm_per_unit": None if scene["mm_per_unit"] is None else float(scene["mm_per_unit"]),
+            "source": None if scene.get("source") is None else str(scene["source"]),
+            "silhouettes": str(scene.get("silhouettes from", "auto")),
+            "images": scene.get("images from"),
+            "detail": str(scene.get("detail", "full")),
+            "settings": record.get("settings"),
+            "voxels": dict(record.get("voxels") or {}),
+        }
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise DataError(f"{file}: expected the record of a run, got something else ({error!r})") from None
+
+
+def recorded_scene(result: Path, record: dict[str, Any] | None, *, silhouettes: str = "none", hint: str = "") -> Scene:
+    """The scene that a result was made of, with the views that were used; a hint ends the error that none is known."""
+    from recon3d.budget import SCALES
+    from recon3d.datasets.synthetic import SCENES
+    from recon3d.io.refined_cameras import with_refined_cameras
+
+    if record is None or record["source"] is None:
+        raise DataError(f"{result}: no record says which scene this was made of{hint}")
+    box = None if record["source"] in SCENES else ",".join(map(str, record["bounds"]))
+    given = load(record["source"], box, silhouettes, record["mm_per_unit"], record["images"])
+    given = given.shrunk(SCALES.get(record["detail"], 1.0))
+    folder = result if result.is_dir() else result.parent
+    scene = with_refined_cameras(folder, given, of_views=False) or given
+    return scene.subset(record["views"])
+
+
+def recorded_settings(result: Path, record: dict[str, Any] | None, test: str | None) -> Settings:
+    """The settings that a result was made with, a user's own test among them only where its name is given."""
+    from recon3d.settings import Settings
+
+    if not result.exists() or record is None or record["settings"] is None:
+        raise DataError(f"{result}: expected the folder of a result, with a record.json that tells the settings")
+    try:
+        return Settings.from_record(record["settings"], test=test)
+    except (ArgumentError, DataError) as error:
+        raise DataError(f"{result}: the recorded settings cannot be used again: {error}") from None
+
+
+def writable(folder: Path) -> Path:
+    """The folder, made if need be; an error before any work where nothing can be written to it."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            return folder
+    except OSError as error:
+        raise ArgumentError(f"--output {folder}: expected a folder that can be written ({error.strerror})") from None
+
+
+def beside(result: Path, name: str) -> Path:
+    """Folder for what is made from a result: inside its folder, or beside its file."""
+    return (result if result.is_dir() else result.parent) / name
