@@ -244,6 +244,10 @@ def test_best_depths_are_those_of_the_largest_correlation_by_the_exact_homograph
             correlations.append(np.corrcoef(image[v, u], seen)[0, 1])
         return float(np.mean(correlations))
 
+    # Nothing behind the camera is seen, whichever view it would be seen by.
+    behind, none = np.full(len(pixels), -1.0), np.zeros(len(pixels))
+    best_depths(compared, Window(radius, stride, 1.0), pixels, Tried(-nearest - 1, -nearest, 0.05), none, behind)
+    assert (behind == -1).all()
     tried = 1.5 + 0.05 * np.arange(21)
     for pixel, depth, score in zip(pixels, depths, scores, strict=True):
         expected = [correlation(pixel, z) for z in tried]

@@ -78,10 +78,11 @@ def best_depths(
         left = 0.0
         right = 0.0
         for s in range(n_steps):
-            plane = Plane(1.0 / (nearest[n] + s * step), 0.0, 0.0)
+            z = nearest[n] + s * step
+            plane = Plane(1.0 / z, 0.0, 0.0)
             first = -1.0
             second = -1.0
-            for j in range(n_others):
+            for j in range(n_others if z > 0.0 else 0):  # nothing behind the camera is seen
                 ncc = correlation(own, plane, compared, j)
                 if ncc > first:
                     second = first
