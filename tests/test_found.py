@@ -25,7 +25,7 @@ from recon3d.datasets.synthetic import BuiltInScene
 from recon3d.errors import ArgumentError, DataError, SceneError
 from recon3d.io import open_scene, write_middlebury
 from recon3d.io.files import write_image
-from recon3d.io.reading import find_image
+from recon3d.io.photographs import find_image
 from recon3d.scene.bounds import Bounds
 from recon3d.scene.enclosing import enclosing_box, looked_at, silhouettes_explained
 from recon3d.scene.image_file import ImageFile, read_image

@@ -69,7 +69,7 @@ def plain_photographs(scene: str) -> Path | None:
     """The folder of photographs that a path names, itself or its only sub folder, if nothing tells their cameras."""
     from recon3d.datasets.synthetic import SCENES
     from recon3d.io.opening import format_of
-    from recon3d.io.reading import image_files
+    from recon3d.io.photographs import image_files
 
     path = Path(scene)
     if not path.is_dir() or (scene in SCENES and not image_files(path)) or format_of(path) is not None:

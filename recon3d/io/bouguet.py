@@ -23,18 +23,16 @@ from numpy.typing import NDArray
 
 from recon3d.errors import DataError
 from recon3d.io.calibrated import Calibrated, CalibratedImage
-from recon3d.io.reading import (
+from recon3d.io.parsing import numbers, read_text, whole
+from recon3d.io.photographs import (
     IMAGE_FOLDERS,
     camera_of,
     image_files,
     listed,
     numbered,
-    numbers,
     photograph_of,
     pinhole,
-    read_text,
     views_named,
-    whole,
 )
 
 _MOST = 4 * 2**20  # bytes

@@ -20,17 +20,16 @@ from numpy.typing import NDArray
 
 from recon3d.errors import DataError
 from recon3d.io.calibrated import Calibrated, CalibratedImage
-from recon3d.io.reading import (
+from recon3d.io.parsing import numbers, read_text
+from recon3d.io.photographs import (
     IMAGE_FOLDERS,
     camera_of,
     find_images,
     image_files,
     in_order,
     listed,
-    numbers,
     photograph_of,
     pinhole_from_corner,
-    read_text,
     views_named,
 )
 

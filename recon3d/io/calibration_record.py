@@ -8,7 +8,7 @@ from pathlib import Path
 from recon3d.errors import DataError
 from recon3d.io.calibrated import Calibrated
 from recon3d.io.colmap import read_colmap
-from recon3d.io.reading import numbers, read_json
+from recon3d.io.parsing import numbers, read_json
 from recon3d.scene.bounds import Bounds
 
 CALIBRATION_FILE = "calibration.json"

@@ -20,14 +20,8 @@ from numpy.typing import NDArray
 
 from recon3d.errors import DataError
 from recon3d.io.calibrated import Calibrated, CalibratedImage
-from recon3d.io.reading import (
-    IMAGE_FOLDERS,
-    camera_of,
-    find_images,
-    numbers,
-    photograph_of,
-    pinhole_from_corner,
-)
+from recon3d.io.parsing import numbers
+from recon3d.io.photographs import IMAGE_FOLDERS, camera_of, find_images, photograph_of, pinhole_from_corner
 
 _MODELS = (
     "", "sparse/0", "sparse", "colmap/sparse/0", "colmap/sparse", "dense/sparse", "dense/0/sparse",

@@ -25,7 +25,7 @@ from recon3d.errors import DataError
 from recon3d.io.calibrated import Calibrated, CalibratedImage
 from recon3d.io.handedness import signed
 from recon3d.io.matrix_files import MOST, SUFFIXES, Matrix, matrices_in
-from recon3d.io.reading import (
+from recon3d.io.photographs import (
     IMAGE_FOLDERS,
     find_image,
     find_images,

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from recon3d.errors import DataError
 from recon3d.io.mat_file import read_mat
-from recon3d.io.reading import natural, number_fields, read_text
+from recon3d.io.parsing import number_fields, read_text
+from recon3d.io.photographs import natural
 from recon3d.scene.mask_files import IMAGE_SUFFIXES
 
 _TEXT = frozenset({".txt", ".p", ".dat", ".csv", ".proj", ".projection"})

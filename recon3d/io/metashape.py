@@ -22,16 +22,8 @@ from numpy.typing import NDArray
 
 from recon3d.errors import DataError
 from recon3d.io.calibrated import Calibrated, CalibratedImage
-from recon3d.io.reading import (
-    IMAGE_FOLDERS,
-    camera_of,
-    find_images,
-    listed,
-    numbers,
-    photograph_of,
-    pinhole_from_corner,
-    read_xml,
-)
+from recon3d.io.parsing import numbers, read_xml
+from recon3d.io.photographs import IMAGE_FOLDERS, camera_of, find_images, listed, photograph_of, pinhole_from_corner
 from recon3d.scene.bounds import Bounds
 
 _HEAD = 2000  # characters in which a file says what it is

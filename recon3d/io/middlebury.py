@@ -16,7 +16,8 @@ from recon3d.errors import DataError
 from recon3d.io.calibrated import Calibrated, CalibratedImage
 from recon3d.io.files import write_image, write_text
 from recon3d.io.par_file import camera_of_line, plain_name, poses_of_lines, read_par_file
-from recon3d.io.reading import IMAGE_FOLDERS, find_image, find_images, number_fields, read_text
+from recon3d.io.parsing import number_fields, read_text
+from recon3d.io.photographs import IMAGE_FOLDERS, find_image, find_images
 from recon3d.scene.bounds import Bounds
 from recon3d.scene.mask_files import mask_folders
 from recon3d.scene.names import file_stems

@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 
 from recon3d.errors import DataError
 from recon3d.io.calibrated import Calibrated, CalibratedImage
-from recon3d.io.reading import IMAGE_FOLDERS, camera_of, image_files, numbered, numbers, views_named
+from recon3d.io.parsing import numbers
+from recon3d.io.photographs import IMAGE_FOLDERS, camera_of, image_files, numbered, views_named
 from recon3d.scene.photograph import Photograph
 
 _CAMERAS = ("cams", "cameras", "cams_1", "")

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from recon3d.errors import DataError
 from recon3d.io.calibrated import Calibrated, CalibratedImage
 from recon3d.io.middlebury import read_padded_bounds
-from recon3d.io.reading import IMAGE_FOLDERS, image_files, numbered, views_named
+from recon3d.io.photographs import IMAGE_FOLDERS, image_files, numbered, views_named
 from recon3d.scene.bounds import Bounds
 from recon3d.scene.camera import Camera
 from recon3d.scene.photograph import Photograph

@@ -19,16 +19,15 @@ import numpy as np
 
 from recon3d.errors import DataError
 from recon3d.io.calibrated import Calibrated, CalibratedImage
-from recon3d.io.reading import (
+from recon3d.io.parsing import numbers, read_json
+from recon3d.io.photographs import (
     IMAGE_FOLDERS,
     camera_of,
     find_image,
     image_files,
     in_order,
     natural,
-    numbers,
     photograph_of,
-    read_json,
     views_named,
 )
 

@@ -20,14 +20,14 @@ from numpy.typing import NDArray
 
 from recon3d.errors import DataError
 from recon3d.io.calibrated import Calibrated, CalibratedImage
-from recon3d.io.reading import (
+from recon3d.io.parsing import numbers
+from recon3d.io.photographs import (
     IMAGE_FOLDERS,
     camera_of,
     find_images,
     image_files,
     in_order,
     natural,
-    numbers,
     photograph_of,
     views_named,
 )

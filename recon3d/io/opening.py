@@ -29,7 +29,7 @@ from recon3d.io.neus import is_neus, read_neus
 from recon3d.io.open3d_cameras import is_open3d, read_open3d
 from recon3d.io.opencv_storage import is_opencv_storage, read_opencv_storage
 from recon3d.io.openmvg import is_openmvg, read_openmvg
-from recon3d.io.reading import image_files
+from recon3d.io.photographs import image_files
 from recon3d.io.strecha import is_strecha, read_strecha
 from recon3d.io.transforms import is_transforms, read_transforms
 from recon3d.io.unknown import told_unknown

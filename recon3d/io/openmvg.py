@@ -22,19 +22,8 @@ from numpy.typing import NDArray
 
 from recon3d.errors import DataError
 from recon3d.io.calibrated import Calibrated, CalibratedImage
-from recon3d.io.reading import (
-    IMAGE_FOLDERS,
-    camera_of,
-    entries,
-    find_images,
-    listed,
-    numbers,
-    photograph_of,
-    pinhole,
-    read_json,
-    views_named,
-    whole,
-)
+from recon3d.io.parsing import entries, numbers, read_json, whole
+from recon3d.io.photographs import IMAGE_FOLDERS, camera_of, find_images, listed, photograph_of, pinhole, views_named
 
 _FOLDERS = ("", "reconstruction_sequential", "reconstruction_global", "reconstruction", "matches", "sfm")
 _HEAD = 4096

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from recon3d.errors import DataError
 from recon3d.io.handedness import right_handed, signed
-from recon3d.io.reading import number_fields, read_text
+from recon3d.io.parsing import number_fields, read_text
 from recon3d.scene.camera import Camera
 from recon3d.scene.mask_files import IMAGE_SUFFIXES
 

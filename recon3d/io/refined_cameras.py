@@ -9,7 +9,7 @@ import numpy as np
 
 from recon3d.errors import ArgumentError, DataError
 from recon3d.io.files import write_json
-from recon3d.io.reading import read_json
+from recon3d.io.parsing import read_json
 from recon3d.scene.camera import Camera
 from recon3d.scene.scene import Scene
 

@@ -18,17 +18,8 @@ import numpy as np
 
 from recon3d.errors import DataError
 from recon3d.io.calibrated import Calibrated, CalibratedImage
-from recon3d.io.reading import (
-    IMAGE_FOLDERS,
-    camera_of,
-    find_images,
-    natural,
-    numbers,
-    photograph_of,
-    read_text,
-    views_named,
-    whole,
-)
+from recon3d.io.parsing import numbers, read_text, whole
+from recon3d.io.photographs import IMAGE_FOLDERS, camera_of, find_images, natural, photograph_of, views_named
 
 _FOLDERS = ("", "gt_dense_cameras", "cameras", "gt_sparse_cameras")
 _COUNT = 9 + 3 + 9 + 3 + 2

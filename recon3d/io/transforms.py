@@ -22,13 +22,12 @@ from numpy.typing import NDArray
 
 from recon3d.errors import DataError
 from recon3d.io.calibrated import Calibrated, CalibratedImage
-from recon3d.io.reading import (
+from recon3d.io.parsing import numbers, read_json
+from recon3d.io.photographs import (
     camera_of,
     find_image,
-    numbers,
     photograph_of,
     pinhole_from_corner,
-    read_json,
     views_named,
     warn_of_missing,
 )
