@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from recon3d.datasets.synthetic import Camera, photograph, ring
 from recon3d.scene.bounds import Bounds
 from recon3d.scene.scene import Scene
+from recon3d.scene.similarity import Similarity
 from recon3d.scene.view import View
 from recon3d.volume.dense import CarvingVolume
 from recon3d.volume.lattice import Lattice
@@ -110,18 +111,21 @@ def photographs(
 
 def transformed(scene: Scene, scale: float, shift: NDArray[np.float64]) -> Scene:
     """The scene in another unit and place: world points X become scale * X + shift."""
+    return moved(scene, Similarity(scale, np.eye(3), shift))
 
-    def moved(view: View) -> View:
-        pose = view.cam_from_world
-        pose[:3, 3] = scale * pose[:3, 3] - pose[:3, :3] @ shift
+
+def moved(scene: Scene, to: Similarity) -> Scene:
+    """The scene in another world frame, which is turned by right angles alone, so that the bounds stay a box."""
+
+    def in_place(view: View) -> View:
+        pose = to.camera(view.cam_from_world)
         return View.from_matrices(view.K, pose, view.image, silhouette=view.silhouette, name=view.name)
 
-    low, high = (scale * np.asarray(corner) + shift for corner in (scene.bounds.low, scene.bounds.high))
     return replace(
         scene,
-        views=tuple(map(moved, scene.views)),
-        bounds=Bounds(low, high),
-        mm_per_unit=scene.mm_per_unit / scale,
+        views=tuple(map(in_place, scene.views)),
+        bounds=Bounds(to(np.array([scene.bounds.low]))[0], to(np.array([scene.bounds.high]))[0]),
+        mm_per_unit=scene.mm_per_unit / to.scale,
     )
 
 

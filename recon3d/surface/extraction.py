@@ -15,6 +15,7 @@ from skimage.measure import marching_cubes
 from recon3d.errors import EmptyReconstructionError
 from recon3d.kernels.bricks import BRICK, EMPTY
 from recon3d.volume.dense import CarvingVolume
+from recon3d.volume.lattice import Lattice
 from recon3d.volume.sparse import SparseVolume
 
 _PADDING = 2  # empty voxels around the volume, so that the surface closes
@@ -91,7 +92,7 @@ def mesh_level(
     """
     vertices, faces, _, _ = marching_cubes(field, level, gradient_direction="ascent")
     # A voxel's index is its centre in marching cubes, its lowest corner in a volume.
-    return _smooth_mesh(volume.origin + (vertices - padding + 0.5) * volume.voxel_size, faces, smoothing)
+    return _smooth_mesh(vertices - padding + 0.5, faces, smoothing, volume.lattice)
 
 
 def mesh_sparse(volume: SparseVolume, *, smoothing: int = 5) -> o3d.geometry.TriangleMesh:
@@ -124,12 +125,12 @@ def sparse_shape(volume: SparseVolume, *, smoothing: int = 5) -> o3d.geometry.Tr
     n_vertices = 0
     for low, field in _surface_blocks(volume):
         local, triangles, _, _ = marching_cubes(field, 0.5, gradient_direction="ascent")
-        vertices.append((low + local + 0.5) * volume.voxel_size + volume.origin)
+        vertices.append(low + local + 0.5)
         faces.append(triangles.astype(np.int64) + n_vertices)
         edges.append(_lattice_edges(low, local, volume.shape))
         n_vertices += len(local)
     _, first, welded = np.unique(np.concatenate(edges), return_index=True, return_inverse=True)
-    return _smooth_mesh(np.concatenate(vertices)[first], welded[np.concatenate(faces)], smoothing)
+    return _smooth_mesh(np.concatenate(vertices)[first], welded[np.concatenate(faces)], smoothing, volume.lattice)
 
 
 def _surface_blocks(volume: SparseVolume) -> Iterator[tuple[NDArray[np.int64], NDArray[np.float32]]]:
@@ -184,14 +185,21 @@ def _level_field(
     return np.asarray(np.where(field > 0.5, np.maximum(field, 0.5 + 1e-3), np.minimum(field, 0.5 - 1e-3)), np.float32)
 
 
-def _smooth_mesh(points: NDArray[np.float64], faces: NDArray[np.int64], smoothing: int) -> o3d.geometry.TriangleMesh:
-    """Mesh with normals after some pairs of Taubin steps."""
+def _smooth_mesh(
+    points: NDArray[np.floating], faces: NDArray[np.integer], smoothing: int, lattice: Lattice
+) -> o3d.geometry.TriangleMesh:
+    """Mesh with normals after some pairs of Taubin steps; of points (n, 3) in voxels from the lattice's origin.
+
+    Smoothed in voxels, since Open3D weighs by distances that must not be tiny.
+    """
     mesh = o3d.geometry.TriangleMesh(
-        o3d.utility.Vector3dVector(points), o3d.utility.Vector3iVector(faces.astype(np.int32))
+        o3d.utility.Vector3dVector(points.astype(np.float64)), o3d.utility.Vector3iVector(faces.astype(np.int32))
     )
     if smoothing:
         mesh = mesh.filter_smooth_taubin(smoothing)
     mesh.compute_vertex_normals()
+    mesh.scale(lattice.voxel_size, np.zeros(3))
+    mesh.translate(lattice.origin)
     return mesh
 
 

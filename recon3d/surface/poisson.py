@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 
 from recon3d.errors import ArgumentError
 from recon3d.heap import give_back
+from recon3d.rendering.ray_caster import power_of_two
 from recon3d.surface.extraction import mesh_shape
 from recon3d.surface.minimum_cut import graph_cut
 from recon3d.volume.carved import CarvedVolume
@@ -102,15 +103,17 @@ def mesh_points(
     closed = _closed_by_hull(points, hull, measured or MeasuredSpace(points, spacing))
     extent = float(max(closed.get_max_bound() - closed.get_min_bound()))
     depth = octree_depth(extent, spacing)
-    # Poisson computes in single precision, so far from the origin it would lose the surface; on more threads than one,
-    # which are hardly faster, its vertices come in another order every time.
-    middle = closed.get_axis_aligned_bounding_box().get_center()
+    # Poisson computes in single precision, so far from the origin it would lose the surface, and in an odd unit digits;
+    # on more threads than one, which are hardly faster, its vertices come in another order every time.
+    middle, unit = closed.get_axis_aligned_bounding_box().get_center(), power_of_two(spacing)
     closed.translate(-middle)
+    closed.scale(1 / unit, np.zeros(3))
     mesh, _ = o3d.geometry.TriangleMesh.create_from_point_cloud_poisson(closed, depth=depth, scale=_MARGIN, n_threads=1)
     give_back()  # the octree
     mesh.vertex_colors = o3d.utility.Vector3dVector()  # black ones
-    mesh.translate(middle)
     mesh.compute_vertex_normals()
+    mesh.scale(unit, np.zeros(3))
+    mesh.translate(middle)
     return mesh
 
 
