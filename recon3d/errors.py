@@ -50,5 +50,9 @@ class NoRoomError(Recon3dError):
     """There is no room for the temporary files of a run."""
 
 
+class OpenMeshError(Recon3dError):
+    """A mesh is not closed, and what is asked for needs one that is."""
+
+
 class EmptyReconstructionError(Recon3dError):
     """Nothing was left after carving."""

@@ -110,6 +110,7 @@ def reconstruct(
         seen.repairs,
         run.timings,
         quality,
+        decimation=meshed.decimation,
     )
     if ground_truth is None:
         return result

@@ -20,6 +20,7 @@ from recon3d.rendering.sheets import turntable
 from recon3d.scene.scene import Scene
 from recon3d.settings import Settings
 from recon3d.summary import Summarised
+from recon3d.surface.decimation import Decimation
 from recon3d.surface.repair import Repairs, triangle_areas
 from recon3d.surface.uncertainty import predicted_distance
 from recon3d.surface.visibility import keep_vertices
@@ -63,6 +64,8 @@ class Reconstruction(Summarised):
     """Of the whole mesh, where a ground truth was given."""
     supported_evaluation: Evaluation | None = None
     """Of the measured part alone, where a ground truth was given; None also where nothing was measured."""
+    decimation: Decimation | None = None
+    """What fewer triangles cost, where they were asked for."""
 
     @property
     def supported_share(self) -> float:
@@ -147,6 +150,7 @@ class Reconstruction(Summarised):
                 "supported_share": self.supported_share,
                 "predicted_accuracy": self.predicted_accuracy(),
                 **self.repairs.record(),
+                "decimation": self.decimation.record() if self.decimation else None,
             },
             "timings_s": self.timings,
             "quality": self.quality.record(),
@@ -162,6 +166,7 @@ class Reconstruction(Summarised):
         if share == 1:
             del distances["whole mesh"]
         predicted = self.predicted_accuracy()
+        fewer = self.decimation.told(self.scene.mm_per_unit) if self.decimation else ""
         return {
             "scene": f"{self.scene.name}, {len(self.scene.views)} views",
             "surface": f"{share:.0%} measured" + (f", {1 - share:.0%} filled from the hull" if share < 1 else ""),
@@ -172,7 +177,7 @@ class Reconstruction(Summarised):
             ),
             **{name: distance.headline() for name, distance in distances.items() if distance},
             **self.quality.summary(),
-            "mesh": f"{len(self.mesh.triangles):,} triangles" + (f"; {self.repairs}" if str(self.repairs) else ""),
+            "mesh": "; ".join(filter(None, (f"{len(self.mesh.triangles):,} triangles", fewer, str(self.repairs)))),
             "voxels": f"{lattice.n_voxels:,} of {side}, {self.carved.n_accepted:,} accepted",
             "time": ", ".join(f"{name} {seconds:.2f} s" for name, seconds in self.timings.items()),
         }

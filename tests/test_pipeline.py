@@ -14,12 +14,14 @@ from scipy.spatial import cKDTree
 
 import recon3d
 from recon3d.datasets import BuiltInScene
+from recon3d.errors import OpenMeshError
 from recon3d.evaluation import evaluate_files, measure_quality, triangles_near
 from recon3d.io import read_geometry, read_support, write_middlebury
 from recon3d.io.files import atomic_path
 from recon3d.io.geometry import geometry_arrays
 from recon3d.rendering import Renderer
 from recon3d.reporting import error_map, save_error_maps, save_pictures
+from recon3d.reporting.saving import save_prints
 from recon3d.scene.view import View
 from recon3d.stereo import PASSES
 from recon3d.surface import VertexVisibility, mesh_volume
@@ -59,7 +61,7 @@ def test_what_is_saved_reads_back_as_it_was(result: recon3d.Reconstruction, tmp_
         left = tmp_path / f"{temporary.name}-of-a-killed-run"
         left.write_bytes(b"half")
     os.utime(left, (0, 0))
-    written = recon3d.save(result, tmp_path, mesh_formats=["ply", "obj", "glb", "stl"])
+    written = recon3d.save(result, tmp_path, mesh_formats=["ply", "obj", "glb", "stl", "3mf"])
     assert not left.exists()
     assert all(path.exists() for path in written.values())
     mesh = recon3d.read_mesh(written["mesh (ply)"])
@@ -68,6 +70,10 @@ def test_what_is_saved_reads_back_as_it_was(result: recon3d.Reconstruction, tmp_
     np.testing.assert_array_equal(read_support(written["mesh (ply)"]), result.support)
     for name in ("obj", "glb", "stl"):
         assert len(recon3d.read_mesh(written[f"mesh ({name})"]).triangles) == len(result.mesh.triangles)
+    printed = recon3d.read_mesh(written["mesh (stl)"])
+    extent = 1000 * (mesh.get_max_bound() - mesh.get_min_bound())
+    np.testing.assert_allclose(printed.get_max_bound() - printed.get_min_bound(), extent, rtol=1e-4)
+    assert printed.get_min_bound()[2] == 0
     cloud = read_geometry(written["points"])
     assert isinstance(cloud, o3d.geometry.PointCloud)
     assert cloud.has_normals()
@@ -77,6 +83,21 @@ def test_what_is_saved_reads_back_as_it_was(result: recon3d.Reconstruction, tmp_
     volume = recon3d.CarvingVolume.from_voxel_grid(grid, shape=result.carved.volume.shape)
     np.testing.assert_array_equal(volume.occupied, result.carved.volume.occupied)
     np.testing.assert_array_equal(volume.colors, result.carved.volume.colors)
+
+
+def test_prints_without_a_scale_are_told_and_open_meshes_refused(
+    result: recon3d.Reconstruction, tmp_path: Path
+) -> None:
+    unscaled = replace(result, scene=replace(result.scene, mm_per_unit=None))
+    with pytest.warns(UserWarning, match=r"no scale is known, so a world unit became a millimetre in mesh\.3mf"):
+        save_prints(unscaled, tmp_path, ["3mf"])
+    hole = o3d.geometry.TriangleMesh(result.mesh)
+    hole.triangles = o3d.utility.Vector3iVector(np.asarray(hole.triangles)[:-5])
+    with pytest.raises(OpenMeshError, match=r"mesh\.stl: expected a closed mesh"):
+        recon3d.save(replace(result, mesh=hole), tmp_path / "open", mesh_formats=["ply", "stl"], pictures=False)
+    assert {path.name for path in (tmp_path / "open").iterdir()} == {
+        "mesh.ply", "points.ply", "voxels.ply", "record.json",
+    }  # fmt: skip
 
 
 def test_a_reconstruction_pickles(result: recon3d.Reconstruction) -> None:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scenes import ball_mesh, cameras, photographs, plain_view, rotation
 
 from recon3d.datasets.synthetic import BuiltInScene
-from recon3d.rendering.orbit import look_at, up_direction
+from recon3d.rendering.orbit import look_at, up_direction, upright
 from recon3d.rendering.renderer import MODES, Renderer, pixel_rays, render
 from recon3d.rendering.sheets import comparison_sheet, portrait, turntable
 from recon3d.scene.bounds import Bounds
@@ -239,6 +239,35 @@ def test_up_is_the_axis_that_the_cameras_stand_around(seed: int) -> None:
 def test_up_is_the_third_axis_for_fewer_than_three_views() -> None:
     scene = photographs(ball_mesh(), taken_by=cameras(2))
     assert up_direction(scene).tolist() == [0, 0, 1]
+
+
+@pytest.mark.parametrize(("mm_per_unit", "scale"), [(10.0, 0.01), (None, 1.0)])
+def test_an_upright_frame_has_metres_and_the_worlds_axes_where_these_are_meant(
+    mm_per_unit: float | None, scale: float
+) -> None:
+    scene = replace(photographs(ball_mesh(), taken_by=cameras(6, arc=360)), mm_per_unit=mm_per_unit)
+    upwards, x = scale * np.eye(3)[2], scale * np.eye(3)[0]
+    assert np.allclose(upright(scene, up="z", unit_mm=1000.0)[:3, :3], scale * np.eye(3), atol=1e-9)
+    y_up = upright(scene, up="y", unit_mm=1000.0)
+    assert np.linalg.det(y_up[:3, :3]) == pytest.approx(scale**3)
+    np.testing.assert_allclose(y_up[:3, :3] @ [0, 0, 1], upwards[[0, 2, 1]], atol=1e-9)
+    np.testing.assert_allclose(y_up[:3, :3] @ [1, 0, 0], x, atol=1e-9)
+    np.testing.assert_array_equal(y_up[:3, 3], 0)
+
+
+def test_an_upright_frame_follows_the_cameras_where_the_world_is_turned() -> None:
+    scene = photographs(ball_mesh(), taken_by=cameras(6, arc=360))
+    for degrees, followed in ((8.0, False), (35.0, True)):
+        R = rotation(np.radians([degrees, 0, 0]))
+        turned = np.eye(4)
+        turned[:3, :3] = R
+        views = [
+            View.from_matrices(view.K, view.cam_from_world @ turned.T, view.image, name=view.name)
+            for view in scene.views
+        ]
+        frame = upright(replace(scene, views=tuple(views)), up="y", unit_mm=1000.0)[:3, :3]
+        np.testing.assert_allclose(frame @ (R @ [0, 0, 1] if followed else [0, 0, 1]), [0, 1, 0], atol=1e-9)
+        np.testing.assert_allclose(frame @ frame.T, np.eye(3), atol=1e-9)
 
 
 def test_looking_at_a_point_puts_it_on_the_axis_and_up_up() -> None:

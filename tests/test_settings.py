@@ -116,6 +116,7 @@ def test_nothing_given_is_ignored(bad: dict[str, Any], message: str) -> None:
         ({"min_component": -1}, r"expected min_component to be a number in \[0, inf\), got -1"),
         ({"min_component": float("nan")}, "expected min_component"),
         ({"keep_unsupported": 1}, "expected keep_unsupported to be True or False, got 1"),
+        ({"triangles": 3}, "expected triangles to be a whole number of at least 4, got 3"),
         ({"fill_hidden": "yes"}, "expected fill_hidden to be True or False, got 'yes'"),
     ],
 )

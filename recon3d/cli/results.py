@@ -34,8 +34,10 @@ def save(result: Reconstruction, folder: Path, formats: list[str], *, pictures: 
 def mesh_of(result: Path) -> Path:
     """The mesh file of a result folder, or the file itself."""
     from recon3d.io.geometry import MESH_SUFFIXES
+    from recon3d.io.printing import PRINT_SUFFIXES
 
-    found = [result / f"mesh{suffix}" for suffix in MESH_SUFFIXES if (result / f"mesh{suffix}").is_file()]
+    kept = [suffix for suffix in MESH_SUFFIXES if suffix not in PRINT_SUFFIXES]  # those in the world's frame
+    found = [result / f"mesh{suffix}" for suffix in kept if (result / f"mesh{suffix}").is_file()]
     if result.is_dir() and not found:
         raise DataError(f"{result}: expected the folder of a result, with a mesh in it")
     return found[0] if result.is_dir() else result

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from recon3d.scene.scene import Scene
+
+_ALONG_AXIS = np.cos(np.radians(15))
 
 
 def up_direction(scene: Scene) -> NDArray[np.float64]:
@@ -22,6 +25,30 @@ def up_direction(scene: Scene) -> NDArray[np.float64]:
     axis = np.asarray(np.linalg.svd(centers - middle)[2][2])
     above = (middle - scene.bounds.center) @ axis
     return axis if above >= 0 else -axis
+
+
+def upright(scene: Scene, *, up: Literal["y", "z"], unit_mm: float) -> NDArray[np.float64]:
+    """(4, 4) from the world to a frame that programs expect: an axis points up, lengths are in a common unit.
+
+    Up is ``up_direction``; where an axis of the world lies within 15 degrees of that, the axis, which whoever made the
+    world will have meant. What of the world's axes is horizontal stays so: with the world's z up, (x, y, z) becomes
+    (x, z, -y) for "y".
+
+    Parameters
+    ----------
+    unit_mm : millimetres in a unit of the frame. Where the scene's scale is not known, its lengths are kept.
+    """
+    found = up_direction(scene)
+    nearest = np.eye(3)[np.abs(found).argmax()] * np.sign(found[np.abs(found).argmax()])
+    axis = nearest if nearest @ found > _ALONG_AXIS else found
+    side = np.eye(3)[0] if abs(axis[0]) < 0.9 else np.eye(3)[1]
+    right = side - (side @ axis) * axis
+    right /= np.linalg.norm(right)
+    rows = [right, axis, np.cross(right, axis)] if up == "y" else [right, np.cross(axis, right), axis]
+    scale = 1.0 if scene.mm_per_unit is None else scene.mm_per_unit / unit_mm
+    frame_from_world = np.eye(4)
+    frame_from_world[:3, :3] = scale * np.array(rows)
+    return frame_from_world
 
 
 def _orbit(

@@ -1,5 +1,6 @@
 """Meshes: made of voxels and points, repaired, and coloured."""
 
+from recon3d.surface.decimation import Decimation, decimate
 from recon3d.surface.extraction import mesh_sparse, mesh_volume, surface_points
 from recon3d.surface.meshing import Meshed, Meshing, mesh
 from recon3d.surface.minimum_cut import graph_cut
@@ -9,6 +10,7 @@ from recon3d.surface.vertex_colors import color
 from recon3d.surface.visibility import VertexVisibility, keep_vertices
 
 __all__ = [
+    "Decimation",
     "MeasuredSpace",
     "Meshed",
     "Meshing",
@@ -17,6 +19,7 @@ __all__ = [
     "Surface",
     "VertexVisibility",
     "color",
+    "decimate",
     "graph_cut",
     "keep_vertices",
     "mesh",

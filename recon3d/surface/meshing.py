@@ -10,6 +10,7 @@ import open3d as o3d
 from numpy.typing import NDArray
 
 from recon3d.checks import require_choice, require_flag, require_number, require_whole
+from recon3d.surface.decimation import LEAST_TRIANGLES, Decimation, decimate
 from recon3d.surface.extraction import mesh_shape, sparse_shape
 from recon3d.surface.poisson import MeasuredSpace, Surface, mesh_points
 from recon3d.surface.repair import Repairs, repair_mesh
@@ -39,6 +40,8 @@ class Meshing:
     min_component: float = 100.0
     """Area, in faces of a voxel, below which a separate piece of the mesh is a small component and dropped; 100 is the
     surface of four voxels cubed, 0 keeps all."""
+    triangles: int | None = None
+    """At most so many, by collapsing edges (quadrics) before anything is measured of the mesh; None keeps all."""
 
     def __post_init__(self) -> None:
         require_choice("surface", self.surface, get_args(Surface))
@@ -50,6 +53,8 @@ class Meshing:
         if self.smoothing is not None:
             require_whole("smoothing", self.smoothing, least=0)
         require_number("min_component", self.min_component, "[0, inf)")
+        if self.triangles is not None:
+            require_whole("triangles", self.triangles, LEAST_TRIANGLES)
 
 
 class Meshed(NamedTuple):
@@ -62,6 +67,8 @@ class Meshed(NamedTuple):
     voxels."""
     repairs: Repairs
     """What was wrong with it before."""
+    decimation: Decimation | None = None
+    """What fewer triangles cost; None: it has those that it was made with."""
 
 
 def mesh(
@@ -98,8 +105,11 @@ def mesh(
         found = _mesh_of_voxels(carved, _SMOOTHING if meshing.smoothing is None else meshing.smoothing,
                                 shell=one_sided and not meshing.fill_hidden)  # fmt: skip
     sound, repairs, _ = repair_mesh(found, min_area=meshing.min_component * lattice.voxel_size**2)
+    decimation = None
+    if meshing.triangles is not None:
+        sound, decimation = decimate(sound, meshing.triangles)
     everywhere = np.ones(len(sound.vertices), np.bool_)
-    return Meshed(sound, everywhere if measured is None else measured.holds_surface(sound), repairs)
+    return Meshed(sound, everywhere if measured is None else measured.holds_surface(sound), repairs, decimation)
 
 
 def _mesh_of_voxels(carved: Carved, smoothing: int, *, shell: bool) -> o3d.geometry.TriangleMesh:

@@ -48,6 +48,7 @@ class _MeshFormat(StrEnum):
     obj = "obj"
     glb = "glb"
     stl = "stl"
+    threemf = "3mf"
 
 
 def command(
@@ -115,12 +116,25 @@ def command(
             rich_help_panel=SURFACE,
         ),
     ] = None,
+    triangles: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N",
+            help="At most so many triangles in the mesh; how far that moves the surface is told.",
+            rich_help_panel=SURFACE,
+        ),
+    ] = None,
     ground_truth: Annotated[
         Path | None, typer.Option(metavar="MESH", help="Measure against this mesh.", rich_help_panel=MEASURING)
     ] = None,
     output: options.Output = None,
     mesh_format: Annotated[
-        list[_MeshFormat] | None, typer.Option(help="May be repeated.", show_default="ply", rich_help_panel=OUTPUT)
+        list[_MeshFormat] | None,
+        typer.Option(
+            help="May be repeated; stl and 3mf are for printing: millimetres, z up, closed meshes alone.",
+            show_default="ply",
+            rich_help_panel=OUTPUT,
+        ),
     ] = None,
     pictures: Annotated[bool, typer.Option(help="Render comparison and turntable.", rich_help_panel=OUTPUT)] = True,
     method_option: options.MethodOptions = None,
@@ -151,8 +165,10 @@ def command(
     ] = 100.0,
 ) -> None:
     """Reconstruct a coloured mesh, points and voxels from photographs; plain ones are calibrated first."""
+    from recon3d.io.printing import PRINT_SUFFIXES
     from recon3d.io.reading_geometry import read_mesh
     from recon3d.io.refined_cameras import REFINED_FILE
+    from recon3d.reporting.saving import save_prints
     from recon3d.settings import Settings
     from recon3d.stereo import PASSES
     from recon3d.surface import Meshing
@@ -171,6 +187,7 @@ def command(
             fill_hidden=fill_hidden,
             smoothing=smoothing,
             min_component=min_component,
+            triangles=triangles,
         ),
     )
     truth = read_mesh(ground_truth) if ground_truth else None
@@ -196,10 +213,14 @@ def command(
         (folder / REFINED_FILE).unlink(missing_ok=True)
     warn_of_findings(loaded, doubted)
     result = run(loaded, settings, truth, folder / "stages")
-    written = save(result, folder, [name.value for name in mesh_format or [_MeshFormat.ply]], pictures=pictures)
+    formats = [each.value for each in mesh_format or [_MeshFormat.ply]]
+    for_printing = [name for name in formats if f".{name}" in PRINT_SUFFIXES]
+    written = save(result, folder, sorted(set(formats) - set(for_printing)) or ["ply"], pictures=pictures)
     say({**result.summary(), "detail": chosen.told})
     say(written)
     if doubt := result.doubt():
         warnings.warn(f"{loaded.name}: {doubt}", stacklevel=1)
     elif lost := result.lost_parts():
         warnings.warn(f"{loaded.name}: {lost}", stacklevel=1)
+    if for_printing:  # last, since an open mesh is refused
+        say(save_prints(result, folder, for_printing))
