@@ -127,10 +127,14 @@ def test_a_reconstruction_is_written_measured_and_rendered(result: Path, temple:
 
 
 def test_a_test_and_its_options_are_chosen_by_name(photographs: Path, tmp_path: Path) -> None:
-    run(
+    process = run(
         "reconstruct", photographs, "--voxels", 8000, "-o", tmp_path, "--no-pictures", "--method", "voxel-coloring",
         "--test", "standard-deviation", "--test-option", "threshold=45", "--views", "view0[1-5]*",
+        "--triangles", 500, "--mesh-format", "3mf",
     )  # fmt: skip
+    assert "decimated from" in process.stdout
+    assert (tmp_path / "mesh.3mf").is_file()
+    assert len(recon3d.read_mesh(tmp_path / "mesh.ply").triangles) <= 500
     record = json.loads((tmp_path / "record.json").read_text())
     test = record["settings"]["carving"]["options"]["test"]
     assert test == {"name": "standard-deviation", "options": {"threshold": 45}}
