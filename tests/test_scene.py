@@ -11,7 +11,7 @@ from scenes import plain_view, rotation
 
 from recon3d.datasets.synthetic import BuiltInScene
 from recon3d.errors import SceneError
-from recon3d.scene.bounds import Bounds
+from recon3d.scene.bounds import Bounds, place_text
 from recon3d.scene.scene import Scene
 from recon3d.scene.view import View
 
@@ -383,3 +383,11 @@ def test_the_camera_is_open3ds_own(temple: BuiltInScene) -> None:
         assert isinstance(view.camera, o3d.camera.PinholeCameraParameters)
         assert view.camera.intrinsic.width == view.width
     np.testing.assert_array_equal(temple.scene.centers, [view.center for view in temple.scene.views])
+
+
+def test_places_are_told_to_a_fraction_of_a_length_however_far_from_the_origin() -> None:
+    box = Bounds((500000.01, 4000000.02, 100.0), (500000.13, 4000000.1, 100.25))
+    assert Bounds(*np.array(box.text.split(","), float).reshape(2, 3)).low == pytest.approx(box.low, abs=2.5e-5, rel=0)
+    assert box.text.startswith("500000.01,4000000.02,100,")
+    assert place_text((0.1, -2 / 3, 0.0), 0.5) == "0.1,-0.666667,0"
+    assert place_text((1 / 3, 2e-7), 0.0) == "0.333333,2e-07"

@@ -28,7 +28,7 @@ def _by_points(box: Bounds, points: NDArray[np.float64]) -> Finding | None:
     ratio, inside = box.longest / spread, _share(box, points)
     if inside >= _OUTSIDE and ratio <= _LARGE:
         return None
-    where = f"{_corners(*np.percentile(points, [2, 98], axis=0))}"
+    where = Bounds(*np.percentile(points, [2, 98], axis=0)).text
     for factor in _UNITS:
         scaled = Bounds(factor * np.array(box.low), factor * np.array(box.high))
         if _share(scaled, points) >= _INSIDE and 1 <= scaled.longest / spread <= 4:
@@ -75,7 +75,3 @@ def _cameras_inside(scene: Scene) -> list[Finding]:
 def _share(box: Bounds, points: NDArray[np.float64]) -> float:
     wider = box.padded(0.05 * box.longest)
     return float(((points > wider.low) & (points < wider.high)).all(axis=1).mean())
-
-
-def _corners(low: NDArray[np.float64], high: NDArray[np.float64]) -> str:
-    return ",".join(f"{x:.4g}" for x in (*low, *high))

@@ -14,6 +14,7 @@ from recon3d.evaluation.distances import sample_surface
 from recon3d.evaluation.sights import Sights
 from recon3d.rendering.orbit import look_at, up_direction
 from recon3d.rendering.ray_caster import RayCaster
+from recon3d.scene.bounds import place_text
 from recon3d.scene.camera import Camera
 from recon3d.scene.scene import Scene
 
@@ -72,9 +73,11 @@ class Coverage:
             "not measured, or uncertain": f"{self.unmeasured:.1%} of the surface",
         }
         for n, view in enumerate(self.proposals):
-            place, toward = ("(" + ", ".join(f"{x:.4g}" for x in vector) + ")" for vector in (
-                view.center, view.direction))  # fmt: skip
-            rows[f"next view {n + 1}"] = f"from {place} towards {toward}, {view.angle:.0f} degrees from {view.nearest}"
+            place = place_text(view.center, float(np.ptp(self.samples, axis=0).max())).replace(",", ", ")
+            toward = ", ".join(f"{x:.4g}" for x in view.direction)
+            rows[f"next view {n + 1}"] = (
+                f"from ({place}) towards ({toward}), {view.angle:.0f} degrees from {view.nearest}"
+            )
         if self.proposals:
             needed = ", ".join(f"{view.gain:.1%}" for view in self.proposals)
             rows["with these views"] = (

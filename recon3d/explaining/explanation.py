@@ -25,8 +25,9 @@ from recon3d.carving.observer import Judgement, Voxel, VoxelWatcher, voxel_text
 from recon3d.errors import ArgumentError
 from recon3d.explaining.evidence import PixelKind, ViewEvidence, view_evidence
 from recon3d.explaining.figure import NeighbourSlices, draw_explanation
-from recon3d.explaining.pointing import most_telling, place_text, voxel_at, voxels_on_ray
+from recon3d.explaining.pointing import most_telling, voxel_at, voxels_on_ray
 from recon3d.pipeline import kept_carving
+from recon3d.scene.bounds import place_text
 from recon3d.scene.scene import Scene
 from recon3d.settings import Settings, choose_views, method_name
 from recon3d.stereo.refinement import refine
@@ -166,7 +167,7 @@ class Explanation(Summarised):
         volume, last = self.carved.volume, self.last
         rows: dict[str, object] = {
             "voxel": f"{voxel_text(self.voxel)} of {' x '.join(map(str, volume.shape))}",
-            "centre": place_text(self.center),
+            "centre": place_text(self.center, volume.voxel_size),
             **({"chosen": self.chosen} if self.chosen else {}),
             "outcome": self.outcome(),
         }

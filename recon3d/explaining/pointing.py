@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -12,6 +10,7 @@ from recon3d.errors import ArgumentError
 from recon3d.explaining.evidence import Silhouettes
 from recon3d.kernels.item_buffer import enter_box, next_voxel
 from recon3d.kernels.types import Ray
+from recon3d.scene.bounds import place_text
 from recon3d.scene.packed import PackedViews
 from recon3d.scene.scene import Scene
 from recon3d.volume.carved import CarvedVolume
@@ -25,8 +24,9 @@ def voxel_at(volume: CarvingVolume, at: ArrayLike | None) -> Voxel:
         raise ArgumentError(f"expected a place of three finite numbers, got {at!r}")
     index = np.floor((place - volume.origin) / volume.voxel_size).astype(np.int64)
     if (index < 0).any() or (index >= volume.shape).any():
-        low, high = (place_text(corner) for corner in (volume.bounds.low, volume.bounds.high))
-        raise ArgumentError(f"the place {place_text(place)} lies outside the volume, which spans {low} to {high}")
+        size = volume.voxel_size
+        low, high = (place_text(corner, size) for corner in (volume.bounds.low, volume.bounds.high))
+        raise ArgumentError(f"the place {place_text(place, size)} lies outside the volume, which spans {low} to {high}")
     i, j, k = (int(n) for n in index)
     return i, j, k
 
@@ -60,15 +60,10 @@ def most_telling(scene: Scene, views: PackedViews, hull: CarvedVolume, ray: list
         text = f"first accepted voxel on the pixel's ray; {len(before)} before it are empty"
         if best is not None:
             center = hull.volume.origin + hull.volume.voxel_size * (np.array(best) + 0.5)
-            text += f", of which {place_text(center)} with the highest degree, {hull.degree[best]:.3f}"
+            text += f", of which {place_text(center, hull.volume.voxel_size)} with the highest degree, {hull.degree[best]:.3f}"
         return ray[first], text
     if best is not None:
         return best, f"of {len(ray)} voxels on the pixel's ray none is accepted; this one has the highest degree"
     silhouettes = Silhouettes(scene, views, hull)
     best = min(ray, key=lambda voxel: sum(bool(text) for text in silhouettes.excluding(voxel)))
     return best, f"of {len(ray)} voxels on the pixel's ray none is accepted; the fewest silhouettes exclude this one"
-
-
-def place_text(point: Iterable[float]) -> str:
-    """A place (3,) as the command line takes it."""
-    return ",".join(f"{x:.6g}" for x in point)

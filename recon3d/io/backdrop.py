@@ -87,5 +87,4 @@ def with_box_of_foreground(scene: Scene) -> Scene:
     box, how = enclosing_box(cut_out.views)
     if "silhouettes" not in how:
         return scene
-    corners = ",".join(f"{x:.6g}" for x in (*box.low, *box.high))
-    return replace(scene, bounds=box, notes={**scene.notes, "bounds": f"{corners}, {how}"})
+    return replace(scene, bounds=box, notes={**scene.notes, "bounds": f"{box.text}, {how}"})

@@ -271,5 +271,4 @@ def _own_bounds(found: Calibrated, views: tuple[View, ...], readme: Bounds | Non
     if readme is not None:
         return readme, {"bounds": "those of the README"}
     box, how = enclosing_box(views, found.points)
-    corners = ",".join(f"{x:.6g}" for x in (*box.low, *box.high))
-    return box, {"bounds": f"{corners}, {how}{f' ({found.no_bounds})' if found.no_bounds else ''}"}
+    return box, {"bounds": f"{box.text}, {how}{f' ({found.no_bounds})' if found.no_bounds else ''}"}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import product
 
@@ -70,6 +71,22 @@ class Bounds:
         """The box with a margin in world units on every side; a negative one shrinks it."""
         return Bounds(np.subtract(self.low, margin), np.add(self.high, margin))
 
+    @property
+    def text(self) -> str:
+        """The corners as the command line takes them: x0,y0,z0,x1,y1,z1."""
+        return place_text((*self.low, *self.high), self.longest)
+
     def to_open3d(self) -> o3d.geometry.AxisAlignedBoundingBox:
         """The same box as Open3D's ``AxisAlignedBoundingBox``."""
         return o3d.geometry.AxisAlignedBoundingBox(np.array(self.low), np.array(self.high))
+
+
+def place_text(coordinates: Iterable[float], length: float) -> str:
+    """World coordinates as the command line takes them, to a ten-thousandth of a length, however far from the origin.
+
+    Six significant digits at least; all seventeen at most.
+    """
+    values = tuple(coordinates)
+    beyond = (max(abs(x) / length, 1.0) if length > 0 else 1.0 for x in values)
+    digits = (min(max(6, 5 + int(np.ceil(np.log10(times)))), 17) for times in beyond)
+    return ",".join(f"{x:.{n}g}" for x, n in zip(values, digits, strict=True))

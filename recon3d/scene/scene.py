@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from recon3d.errors import ArgumentError, SceneError
 from recon3d.kernels.types import Cameras
-from recon3d.scene.bounds import Bounds
+from recon3d.scene.bounds import Bounds, place_text
 from recon3d.scene.enclosing import enclosing_box
 from recon3d.scene.not_seen import why_not_seen
 from recon3d.scene.packed import PackedViews, pack_cameras
@@ -62,7 +62,7 @@ class Scene(ByContent, Summarised):
             raise SceneError(f"scene {self.name}: expected bounds with three positive sides, got {self.bounds.extent}")
         probes = np.vstack([self.bounds.corners, self.bounds.center])
         if not any(view.sees(probes).any() for view in self.views):
-            low, high = (",".join(f"{x:.6g}" for x in corner) for corner in (self.bounds.low, self.bounds.high))
+            low, high = (place_text(corner, self.bounds.longest) for corner in (self.bounds.low, self.bounds.high))
             raise SceneError(
                 f"scene {self.name}: no camera sees the bounds {low} to {high}. "
                 f"{why_not_seen(self.views, self.bounds) or _QUESTION}"

@@ -223,7 +223,7 @@ class View(ByContent, Summarised):
             "image size": f"{self.width}x{self.height}",
             "silhouette": "known" if self.has_silhouette else "not known",
             "focal lengths (pixels)": f"{self.K[0, 0]:.1f}, {self.K[1, 1]:.1f}",
-            "centre": ", ".join(f"{x:.4g}" for x in self.center),
+            "centre": ", ".join(f"{x:.10g}" for x in self.center),
         }
 
     def picture(self) -> NDArray[np.uint8]:

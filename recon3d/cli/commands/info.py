@@ -133,7 +133,7 @@ def _tell_of_refused(scene: str, images: Path | None, figure: Path | None) -> No
     sizes = sorted({f"{view.width}x{view.height}" for view in views})
     say({"name": found.name, "views": len(views), "image size": ", ".join(sizes), **found.notes})
     if found.bounds is not None:
-        say({"bounds": ",".join(f"{x:.6g}" for x in (*found.bounds.low, *found.bounds.high))})
+        say({"bounds": found.bounds.text})
     _print_table(diagnosis, [""] * len(views))
     _tell_of_findings(diagnosis, figure, wrong=True)
 
