@@ -59,8 +59,9 @@ def most_telling(scene: Scene, views: PackedViews, hull: CarvedVolume, ray: list
     if first is not None:
         text = f"first accepted voxel on the pixel's ray; {len(before)} before it are empty"
         if best is not None:
-            center = hull.volume.origin + hull.volume.voxel_size * (np.array(best) + 0.5)
-            text += f", of which {place_text(center, hull.volume.voxel_size)} with the highest degree, {hull.degree[best]:.3f}"
+            size = hull.volume.voxel_size
+            center = place_text(hull.volume.origin + size * (np.array(best) + 0.5), size)
+            text += f", of which {center} with the highest degree, {hull.degree[best]:.3f}"
         return ray[first], text
     if best is not None:
         return best, f"of {len(ray)} voxels on the pixel's ray none is accepted; this one has the highest degree"
