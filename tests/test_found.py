@@ -504,3 +504,26 @@ def test_a_photograph_outside_its_scene_is_not_opened_by_its_name(tmp_path: Path
     write_image(scene / "secret.png", np.zeros((2, 2, 3), np.uint8))
     for written in (name, str(outside)):
         assert find_image(scene, written) == scene / "secret.png"
+
+
+def test_the_command_line_leaves_the_table_out(temple: BuiltInScene, bare: Path) -> None:
+    (bare / "README.txt").unlink()
+    random = np.random.default_rng(0)
+    box = temple.scene.bounds
+    ground = np.column_stack([random.uniform(-0.15, 0.15, (1500, 2)), np.full(1500, box.low[2])])
+    standing = random.uniform(np.add(box.low, (0, 0, 0.01)), box.high, (600, 3))
+    write_colmap(without_skew(temple.scene), bare / "sparse", points=np.concatenate([standing, ground]))
+    (bare / "little-temple_par.txt").unlink()
+    done = CliRunner().invoke(app, ["info", str(bare), "--object", "--silhouettes", "none"])
+    assert done.exit_code == 0
+    assert re.search(r"bounds: .*table left out: plane at \S+, its normal \S+,1, \d+ of 2100 points", done.output)
+    assert "The bounds hold only" not in done.output
+    found = open_scene(bare, object_alone=True, silhouettes="none").bounds
+    assert box.low[2] < found.low[2] < box.low[2] + 0.01
+    assert found.extent[0] < 0.7 * open_scene(bare, silhouettes="none").bounds.extent[0]
+    for command in ("info", "reconstruct"):
+        done = CliRunner().invoke(app, [command, str(bare), "--object", "--bounds", "0,0,0,1,1,1"])
+        assert isinstance(done.exception, ArgumentError)
+        assert "no table can be left out of them" in str(done.exception)
+    told = open_scene(write_middlebury(temple.scene, bare.parent / "boxed"), object_alone=True).notes["bounds"]
+    assert told.endswith("; no table was looked for")

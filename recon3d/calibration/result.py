@@ -139,13 +139,25 @@ def upright_world(calibration: Calibration) -> Calibration:
     centers = np.array([camera.center for camera in calibration.cameras])
     origin = np.median(calibration.points, axis=0)
     scale = 1 / float(np.median(np.linalg.norm(centers - origin, axis=1)))
-    x = centers[0] - origin
-    x -= (x @ up) * up
-    if np.linalg.norm(x) < 1e-6 / scale:
+    R = _upright(up, centers[0] - origin, 1e-6 / scale)
+    return transformed(calibration, Similarity(scale, R, -scale * R @ origin))
+
+
+def level_world(calibration: Calibration, up: NDArray[np.float64], level: float) -> Calibration:
+    """The calibration in a turned and raised world of the same unit: z up along a unit vector (3,), 0 at a level."""
+    x_axis = np.array([1.0, 0, 0])
+    R = _upright(up, x_axis, 1e-3)
+    world = Similarity(1.0, R, np.array([0, 0, -level]))
+    return transformed(calibration, world, mm_per_unit=calibration.mm_per_unit)
+
+
+def _upright(up: NDArray[np.float64], ahead: NDArray[np.float64], least: float) -> NDArray[np.float64]:
+    """(3, 3) rotation that takes a unit vector up to z and another to the x-z plane, if it is off up by a length."""
+    x = ahead - (ahead @ up) * up
+    if np.linalg.norm(x) < least:
         x = np.cross(up, np.eye(3)[np.abs(up).argmin()])
     x /= np.linalg.norm(x)
-    R = np.stack([x, np.cross(up, x), up])
-    return transformed(calibration, Similarity(scale, R, -scale * R @ origin))
+    return np.stack([x, np.cross(up, x), up])
 
 
 def transformed(calibration: Calibration, world: Similarity, *, mm_per_unit: float | None = None) -> Calibration:

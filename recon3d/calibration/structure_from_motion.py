@@ -16,6 +16,7 @@ from recon3d.calibration.colmap import load_pycolmap
 from recon3d.calibration.features import extract_features, feature_scales, match_features, matched_pairs
 from recon3d.calibration.known_distance import KnownDistance, with_known_distance
 from recon3d.calibration.mapping import map_photographs, refine_intrinsics
+from recon3d.calibration.object_alone import with_object_alone
 from recon3d.calibration.photographs import PhotoFile, duplicates, find_photographs, unread
 from recon3d.calibration.reasons import advice, reasons_of
 from recon3d.calibration.result import CalibratedCamera, Calibration, Observations, upright_world
@@ -38,6 +39,7 @@ def calibrate(
     *,
     masks: Path | str | None = None,
     known_distance: KnownDistance | str | None = None,
+    object_alone: bool = False,
     settings: CalibrationSettings | None = None,
     progress: StageProgress | None = None,
 ) -> Calibration:
@@ -55,6 +57,8 @@ def calibrate(
     masks : folder of masks, 0 where nothing must be matched, as on the background of a turntable.
     known_distance : between two points that can be found in the photographs, or its text
         ``a.jpg:812,400+b.jpg:790,405 a.jpg:210,410+b.jpg:190,420 = 120mm``. The world is then in metres.
+    object_alone : find the bounds of what stands on a table or the ground, where one is recognised among the points;
+        it is then the plane z = 0.
     progress : called with the stage's name, its steps that are done and how many it has. Whatever it raises ends the
         run, which can be resumed.
 
@@ -88,6 +92,8 @@ def calibrate(
     calibration = upright_world(_calibration(model, distinct, dict(sorted(unplaced.items()))))
     if known is not None:
         calibration = with_known_distance(calibration, known)
+    if object_alone:
+        calibration = with_object_alone(calibration)
     write_calibration(calibration, output, report)
     return calibration
 

@@ -40,6 +40,16 @@ Bounds = Annotated[
 ]
 
 
+Object = Annotated[
+    bool,
+    typer.Option(
+        "--object",
+        help="Leave the table or ground that the object stands on out of bounds that are found from sparse points.",
+        rich_help_panel=INPUT,
+    ),
+]
+
+
 Board = Annotated[
     str | None,
     typer.Option(

@@ -28,6 +28,8 @@ def load(
     silhouettes: str,
     mm_per_unit: float | None = None,
     images: Path | str | None = None,
+    *,
+    object_alone: bool = False,
 ) -> Scene:
     """Scene of a folder or of a built-in name."""
     from recon3d.datasets.synthetic import SCENES
@@ -37,7 +39,7 @@ def load(
 
     if scene in SCENES and not Path(scene).exists():
         given = bounds is not None or silhouettes not in ("auto", "none") or mm_per_unit not in (None, 1000.0)
-        if given or images is not None:
+        if given or images is not None or object_alone:
             raise ArgumentError(f"{scene} is built in: it has its own bounds, silhouettes, unit and images")
         built_in = photograph(scene).scene
         if silhouettes == "none":
@@ -48,7 +50,14 @@ def load(
     box = Bounds(numbers[:3], numbers[3:]) if numbers else None
     with progress() as report:
         report("reading", 0, 1)
-        loaded = open_scene(scene, bounds=box, silhouettes=silhouettes, mm_per_unit=mm_per_unit, images=images)
+        loaded = open_scene(
+            scene,
+            bounds=box,
+            silhouettes=silhouettes,
+            mm_per_unit=mm_per_unit,
+            images=images,
+            object_alone=object_alone,
+        )
         report("reading", 1, 1)
     return loaded
 
@@ -86,6 +95,8 @@ def calibrated(
     turntable: str | None = None,
     masks: Path | None = None,
     known_distance: str | None = None,
+    *,
+    object_alone: bool = False,
 ) -> Calibration:
     """Cameras of plain photographs, by a printed board or a turntable where one is told; writes the scene."""
     from recon3d.calibration import Board, Turntable, calibrate, cameras_from_board, cameras_from_turntable
@@ -95,12 +106,21 @@ def calibrated(
         raise ArgumentError(f"expected one of {' and '.join(given)}: each is another way to find the cameras")
     if known_distance is not None and (board is not None or turntable is not None):
         raise ArgumentError("--known-distance: the scale is known by --board or --turntable already")
+    if object_alone and (board is not None or turntable is not None):
+        raise ArgumentError("--object: expected photographs alone; with --board the bounds are above the board already")
     with progress() as report:
         if board is not None:
             return cameras_from_board(photographs, Board.parse(board), output=output, progress=report)
         if turntable is not None:
             return cameras_from_turntable(photographs, Turntable.parse(turntable), output=output, progress=report)
-        return calibrate(photographs, output, masks=masks, known_distance=known_distance, progress=report)
+        return calibrate(
+            photographs,
+            output,
+            masks=masks,
+            known_distance=known_distance,
+            object_alone=object_alone,
+            progress=report,
+        )
 
 
 def with_adjusted_cameras(scene: Scene, folder: Path) -> Scene:

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from recon3d.diagnosis.finding import Finding
 from recon3d.scene.bounds import Bounds
+from recon3d.scene.ground import TABLE_LEFT_OUT
 from recon3d.scene.scene import Scene
 
 _FEWEST = 60  # points
@@ -18,7 +19,8 @@ _TOLD = {0.001: "1000 times too large", 1000.0: "1000 times too small"}
 
 def box_findings(scene: Scene, points: NDArray[np.float64]) -> list[Finding]:
     """What is wrong with the bounds by points (n, 3) that were matched, world; of fewer than 60, the cameras alone."""
-    found = _by_points(scene.bounds, points) if len(points) >= _FEWEST else None
+    alone = TABLE_LEFT_OUT in scene.notes.get("bounds", "")  # then most points may be the table's
+    found = _by_points(scene.bounds, points) if len(points) >= _FEWEST and not alone else None
     return [found] if found else _cameras_inside(scene)
 
 

@@ -40,7 +40,7 @@ def read_calibration(path: Path) -> Calibrated:
         read_colmap(path),
         name=name,
         bounds=None if corners is None else Bounds(*corners),
-        bounds_from="" if corners is None else "above the printed board",
+        bounds_from="" if corners is None else summary.get("bounds", "above the printed board"),
         mm_per_unit=mm_per_unit,
         notes={"format": "calibrated by recon3d", **{key: summary[key] for key in summary if key.startswith("not ")}},
     )

@@ -89,6 +89,7 @@ def open_scene(
     silhouettes: str | Path = "auto",
     mm_per_unit: float | None = None,
     images: str | Path | None = None,
+    object_alone: bool = False,
 ) -> Scene:
     """Open a folder of calibrated photographs, whatever its format; pixels are read when they are asked for.
 
@@ -104,13 +105,17 @@ def open_scene(
     mm_per_unit : millimetres in one world unit; what the README of ``write_scene`` or the format says when None. Most
         formats have no unit: then no scale is known, and nothing is said in millimetres.
     images : folder of the photographs, where they do not lie with the cameras.
+    object_alone : where the box is found from the format's points, leave out the table or the ground that the object
+        stands on; the note "bounds" tells whether one was recognised.
 
     Raises
     ------
-    ArgumentError : the format names its photographs itself, and `images` are given.
+    ArgumentError : the format names its photographs itself, and `images` are given; or `bounds`, and `object_alone`.
     DataError : nothing there, of no known format, or a file is missing or malformed; names file and line.
     SceneError : the box does not fit the cameras or cuts the object off.
     """
+    if object_alone and bounds is not None:
+        raise ArgumentError("the bounds are given (--bounds): no table can be left out of them (--object)")
     path = Path(path)
     found = read_calibrated(path, images)
     named = str(silhouettes) not in (*_MADE, "none")
@@ -119,7 +124,9 @@ def open_scene(
     views = tuple(replace(view, mask=masks.get(view.name)) for view in views)
     readme, told_unit = _told_in_readme(found, views, path)
     unit = next((mm for mm in (mm_per_unit, told_unit) if mm is not None), found.mm_per_unit)
-    box, told_box = (Bounds.of(bounds), {}) if bounds is not None else _own_bounds(found, views, readme)
+    box, told_box = (
+        (Bounds.of(bounds), {}) if bounds is not None else _own_bounds(found, views, readme, object_alone=object_alone)
+    )
     scene = Scene(
         views,
         box,
@@ -264,11 +271,15 @@ def _told_in_readme(found: Calibrated, views: tuple[View, ...], path: Path) -> t
     return None, None
 
 
-def _own_bounds(found: Calibrated, views: tuple[View, ...], readme: Bounds | None) -> tuple[Bounds, dict[str, str]]:
+def _own_bounds(
+    found: Calibrated, views: tuple[View, ...], readme: Bounds | None, *, object_alone: bool
+) -> tuple[Bounds, dict[str, str]]:
     """The box of the format, or that of a README or one that is found, and then a note of which."""
+    kept = "; no table was looked for" if object_alone else ""
     if found.bounds is not None:
-        return found.bounds, {"bounds": found.bounds_from} if found.bounds_from else {}
+        told = f"{found.bounds_from or ('those of the format' if kept else '')}{kept}"
+        return found.bounds, {"bounds": told} if told else {}
     if readme is not None:
-        return readme, {"bounds": "those of the README"}
-    box, how = enclosing_box(views, found.points)
+        return readme, {"bounds": f"those of the README{kept}"}
+    box, how = enclosing_box(views, found.points, object_alone=object_alone)
     return box, {"bounds": f"{box.text}, {how}{f' ({found.no_bounds})' if found.no_bounds else ''}"}

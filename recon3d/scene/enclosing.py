@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from recon3d.errors import SceneError
 from recon3d.scene.bounds import Bounds
 from recon3d.scene.camera import Camera
+from recon3d.scene.ground import SupportingPlane, supporting_plane
+from recon3d.scene.point_box import box_of_points
 from recon3d.scene.view import View
 
 PADDING = 0.03
@@ -19,47 +21,66 @@ PADDING = 0.03
 FROM_CAMERAS = "found from what most cameras see"
 """What a box was found from that holds the object and much else."""
 
+_NO_TABLE = "no table or ground was recognised to leave out"
 _N = 48  # cells along a side of the cube that is searched
 _VIEWS = 60  # that are looked at, of many
 _WHOLE = 0.5  # scale of a silhouette from which on cells are so small that their middles are looked at alone
 _PARALLEL = 1e-3  # squared sine of the angle between axes below which they do not tell a distance
-_FEWEST_POINTS = 30
-_OUTLIERS = 2  # percent of the points at each end of an axis
 
 
-def enclosing_box(views: Sequence[View], points: NDArray[np.float64] | None = None) -> tuple[Bounds, str]:
+def enclosing_box(
+    views: Sequence[View], points: NDArray[np.float64] | None = None, *, object_alone: bool = False
+) -> tuple[Bounds, str]:
     """Box around the object and what it was found from: silhouettes, else points, else what most cameras see.
 
     Parameters
     ----------
     points : (n, 3) points of what the photographs show, world.
+    object_alone : leave out the table or ground that the object stands on, where one is found among the points.
 
     Raises
     ------
     SceneError : the cameras look at no common place.
     """
-    chosen = [views[n] for n in np.unique(np.linspace(0, len(views) - 1, min(_VIEWS, len(views))).round().astype(int))]
-    middle = looked_at(chosen)
-    # No camera is inside the cube.
-    reach = 0.9 * min(float(np.abs(view.center - middle).max()) for view in chosen)
+    chosen = _some(views)
+    middle, reach = _middle_and_reach(chosen)
     cube = Bounds(middle - reach, middle + reach)
     masked = [view for view in chosen if view.has_silhouette]
     if len(masked) >= min(2, len(chosen)):
         hull = _extent(cube, lambda box: _in_silhouettes(masked, box), rounds=3)
         if hull:
-            return hull, f"found from the silhouettes of {len(masked)} views"
+            told = f"found from the silhouettes of {len(masked)} views"
+            return hull, f"{told}, which show the object alone" if object_alone else told
     if points is not None:
-        counts = np.sum([view.sees(points) for view in chosen], axis=0)
-        near = np.abs(points - middle).max(axis=1) < reach
-        kept = points[near & (counts >= max(2, np.median(counts[near]) if near.any() else 0))]
-        if len(kept) >= _FEWEST_POINTS:
-            low, high = np.percentile(kept, [_OUTLIERS, 100 - _OUTLIERS], axis=0)
-            box = Bounds(low, high)
-            return box.padded(2 * PADDING * box.longest), f"found from {len(kept)} of {len(points)} points"
+        plane = supporting_plane(points, chosen, middle, reach) if object_alone else None
+        found = box_of_points(points, chosen, middle, reach, plane)
+        if found:
+            return found[0], f"{found[1]}; {_NO_TABLE}" if object_alone and plane is None else found[1]
     seen = _extent(cube, lambda box: _seen_by_most(chosen, box), rounds=2)
     if seen is None:
         raise SceneError("no place is in most of the photographs; give bounds")
-    return seen, FROM_CAMERAS
+    return seen, f"{FROM_CAMERAS}; {_NO_TABLE}" if object_alone else FROM_CAMERAS
+
+
+def found_table(views: Sequence[View], points: NDArray[np.float64]) -> SupportingPlane | None:
+    """The table or ground that the object stands on, found among points (n, 3) of the photographs, world; or None.
+
+    Raises
+    ------
+    SceneError : the cameras look at no common place.
+    """
+    chosen = _some(views)
+    return supporting_plane(points, chosen, *_middle_and_reach(chosen))
+
+
+def _some(views: Sequence[View]) -> list[View]:
+    return [views[n] for n in np.unique(np.linspace(0, len(views) - 1, min(_VIEWS, len(views))).round().astype(int))]
+
+
+def _middle_and_reach(views: Sequence[View]) -> tuple[NDArray[np.float64], float]:
+    """Where cameras look (3,), world, and half the side of a cube around it that no camera is inside."""
+    middle = looked_at(views)
+    return middle, 0.9 * min(float(np.abs(view.center - middle).max()) for view in views)
 
 
 def looked_at(views: Sequence[View]) -> NDArray[np.float64]:

@@ -23,6 +23,7 @@ def command(
     board: options.Board = None,
     turntable: options.Turntable = None,
     known_distance: options.KnownDistance = None,
+    object_alone: options.Object = False,
     masks: Annotated[
         Path | None,
         typer.Option(
@@ -34,5 +35,8 @@ def command(
     ] = None,
 ) -> None:
     """Find the cameras of photographs, and write them as a scene: undistorted images, COLMAP and transforms.json."""
-    say(calibrated(photographs, writable(output), board, turntable, masks, known_distance).summary())
+    found = calibrated(
+        photographs, writable(output), board, turntable, masks, known_distance, object_alone=object_alone
+    )
+    say(found.summary())
     say({"scene": output})

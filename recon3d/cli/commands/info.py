@@ -36,6 +36,7 @@ def command(
         ),
     ] = None,
     bounds: options.Bounds = None,
+    object_alone: options.Object = False,
     silhouettes: options.Silhouettes = "auto",
     images: options.Images = None,
     mm_per_unit: options.MmPerUnit = None,
@@ -58,14 +59,14 @@ def command(
     from recon3d.settings import Settings
 
     if next_views is not None:
-        given = output, bounds, images, mm_per_unit, memory
+        given = output, bounds, object_alone or None, images, mm_per_unit, memory
         if any(option is not None for option in given) or (silhouettes, detail) != ("auto", "auto"):
             raise ArgumentError("--next-views: expected a result and --figure alone; its record tells the scene")
         _tell_of_next_views(Path(scene), next_views, figure)
         return
     with doubts() as doubted:
         try:
-            loaded = load(scene, bounds, silhouettes, mm_per_unit, images)
+            loaded = load(scene, bounds, silhouettes, mm_per_unit, images, object_alone=object_alone)
         except Recon3dError:
             _tell_of_refused(scene, images, figure)
             raise

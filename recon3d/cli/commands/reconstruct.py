@@ -68,6 +68,7 @@ def command(
     silhouettes: options.Silhouettes = "auto",
     images: options.Images = None,
     bounds: options.Bounds = None,
+    object_alone: options.Object = False,
     board: options.Board = None,
     turntable: options.Turntable = None,
     known_distance: options.KnownDistance = None,
@@ -192,8 +193,12 @@ def command(
     )
     truth = read_mesh(ground_truth) if ground_truth else None
     if images is None and (photographs := plain_photographs(scene)):
+        if object_alone and bounds is not None:
+            raise ArgumentError("the bounds are given (--bounds): no table can be left out of them (--object)")
         folder = writable(output or Path("recon3d-output") / Path(scene).resolve().name)
-        found = calibrated(photographs, folder / "scene", board, turntable, None, known_distance)
+        found = calibrated(
+            photographs, folder / "scene", board, turntable, None, known_distance, object_alone=object_alone
+        )
         say(found.summary())
         with doubts() as doubted:
             loaded = load(str(folder / "scene"), bounds, silhouettes, mm_per_unit)
@@ -203,8 +208,10 @@ def command(
         )
     else:
         with doubts() as doubted:
-            loaded = load(scene, bounds, silhouettes, mm_per_unit, images)
+            loaded = load(scene, bounds, silhouettes, mm_per_unit, images, object_alone=object_alone)
         folder = writable(output or Path("recon3d-output") / loaded.name)
+    if object_alone:
+        say({"bounds": loaded.notes.get("bounds", "the format's own")})
     chosen = at_detail(loaded, detail, memory, settings)
     loaded = chosen.scene
     if refine_cameras:
