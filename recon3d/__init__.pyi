@@ -30,7 +30,7 @@ from .scene import Bounds, Camera, Photograph, Scene, View
 from .settings import Settings
 from .stereo import Matching, refine
 from .study import Comparison, compare
-from .surface import Meshing, color, mesh
+from .surface import Meshing, TexturedMesh, color, mesh, texture_mesh
 from .volume import CarvedVolume, CarvingVolume, Label, SparseVolume
 
 __all__ = [
@@ -60,6 +60,7 @@ __all__ = [
     "SceneError",
     "Settings",
     "SparseVolume",
+    "TexturedMesh",
     "Verdict",
     "View",
     "VisualHull",
@@ -81,6 +82,7 @@ __all__ = [
     "render",
     "save",
     "show_mesh",
+    "texture_mesh",
     "turntable_cameras",
     "write_geometry",
 ]

@@ -63,6 +63,7 @@ def test_help_says_what_each_command_does() -> None:
         "compare",
         "evaluate",
         "render",
+        "texture",
         "explain",
     ]:
         assert command in text
@@ -130,8 +131,11 @@ def test_a_test_and_its_options_are_chosen_by_name(photographs: Path, tmp_path: 
     process = run(
         "reconstruct", photographs, "--voxels", 8000, "-o", tmp_path, "--no-pictures", "--method", "voxel-coloring",
         "--test", "standard-deviation", "--test-option", "threshold=45", "--views", "view0[1-5]*",
-        "--triangles", 500, "--mesh-format", "3mf",
+        "--triangles", 500, "--mesh-format", "3mf", "--texture", 128,
     )  # fmt: skip
+    assert "128x128" in process.stdout
+    made = (tmp_path / "textured.glb").read_bytes()
+    assert (tmp_path / "textured.obj").is_file()
     assert "decimated from" in process.stdout
     assert (tmp_path / "mesh.3mf").is_file()
     assert len(recon3d.read_mesh(tmp_path / "mesh.ply").triangles) <= 500
@@ -139,6 +143,9 @@ def test_a_test_and_its_options_are_chosen_by_name(photographs: Path, tmp_path: 
     test = record["settings"]["carving"]["options"]["test"]
     assert test == {"name": "standard-deviation", "options": {"threshold": 45}}
     assert len(record["scene"]["views"]) == 5
+    assert "metres, y up" in run("texture", tmp_path, "--size", 128).stdout
+    again = (tmp_path / "textured.glb").read_bytes()
+    assert len(again) == pytest.approx(len(made), rel=0.02)
 
 
 def test_the_surface_may_be_made_again_from_the_stages_that_are_kept(photographs: Path, tmp_path: Path) -> None:

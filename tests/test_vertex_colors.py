@@ -17,7 +17,8 @@ from recon3d.kernels.vertex_colors import Samples, Vertices, agreed_colors, faci
 from recon3d.rendering.ray_caster import RayCaster
 from recon3d.scene.scene import Scene
 from recon3d.surface.extraction import nearest_colors
-from recon3d.surface.vertex_colors import _EDGE_WEIGHT, _trust, color
+from recon3d.surface.trust import EDGE_WEIGHT, trusted_pixels
+from recon3d.surface.vertex_colors import color
 from recon3d.surface.visibility import VertexVisibility
 from recon3d.volume.dense import CarvingVolume
 
@@ -213,12 +214,12 @@ def test_a_steep_plane_has_no_edges_and_a_step_has() -> None:
     plane = o3d.geometry.TriangleMesh(
         o3d.utility.Vector3dVector(corners), o3d.utility.Vector3iVector(np.array([[0, 1, 2], [0, 2, 3]], np.int32))
     )
-    unmasked, focal = replace(view, mask=None), float(scene.cameras.focals[0])
-    trust = _trust(RayCaster(plane), unmasked, focal)
+    unmasked = replace(view, mask=None)
+    trust = trusted_pixels(RayCaster(plane), unmasked).trust
     assert (trust == 1).mean() > 0.99
-    ball = _trust(RayCaster(mesh), unmasked, focal)
-    assert 100 < (ball == np.float32(_EDGE_WEIGHT)).sum() < 2000  # the rim of a disc of 80 pixels, 3 or 4 wide
-    masked = _trust(RayCaster(mesh), view, focal)
+    ball = trusted_pixels(RayCaster(mesh), unmasked).trust
+    assert 100 < (ball == np.float32(EDGE_WEIGHT)).sum() < 2000  # the rim of a disc of 80 pixels, 3 or 4 wide
+    masked = trusted_pixels(RayCaster(mesh), view).trust
     assert view.silhouette is not None
     assert (masked[~view.silhouette] == 0).all()
     assert 0 < (masked[view.silhouette] == 0).mean() < 0.1

@@ -25,6 +25,7 @@ from recon3d.cli.commands import (
     info,
     reconstruct,
     render,
+    texture,
 )
 from recon3d.errors import ArgumentError, FailedTestError, Recon3dError
 
@@ -45,6 +46,7 @@ app.command("reconstruct")(reconstruct.command)
 app.command("evaluate")(evaluate.command)
 app.command("compare")(compare.command)
 app.command("render")(render.command)
+app.command("texture")(texture.command)
 app.command("explain")(explain.command)
 
 

@@ -15,6 +15,7 @@ if TYPE_CHECKING:  # Open3D takes seconds to import, --help should not
     from recon3d.result import Reconstruction
     from recon3d.scene.scene import Scene
     from recon3d.settings import Settings
+    from recon3d.surface.texture import TexturedMesh
 
 
 def save(result: Reconstruction, folder: Path, formats: list[str], *, pictures: bool = True) -> dict[str, Path]:
@@ -29,6 +30,12 @@ def save(result: Reconstruction, folder: Path, formats: list[str], *, pictures: 
             written |= save_evaluation(result.evaluation, folder)
         report("writing", 1, 1)
     return written
+
+
+def save_texture(textured: TexturedMesh, folder: Path) -> dict[str, Path]:
+    """Write a textured mesh for other programs, as GLB and as OBJ."""
+    glb, obj = (textured.write(folder / f"textured.{kind}") for kind in ("glb", "obj"))
+    return {"textured mesh (glb)": glb[0], "textured mesh (obj)": obj[0]}
 
 
 def mesh_of(result: Path) -> Path:

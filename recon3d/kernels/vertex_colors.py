@@ -71,14 +71,20 @@ def sample_view(
         samples.weights[k] = 0.0
         if trusted <= 0:
             continue
-        along = square = 0.0
-        for axis in range(3):
-            sight = camera.center[axis] - points[n, axis]
-            along += sight * normals[n, axis]
-            square += sight * sight
-        samples.weights[k] = trusted * along / np.sqrt(square) * (camera.focal / depth) ** 2
+        samples.weights[k] = trusted * pixels_for_area(points[n], normals[n], depth, camera)
         for channel in range(3):
             samples.colors[k, channel] = bilinear(image[:, :, channel], u, v, camera.size[0], camera.size[1])
+
+
+@kernel()
+def pixels_for_area(point: NDArray[np.float64], normal: NDArray[np.float64], depth: float, camera: Camera) -> float:
+    """Pixels of a camera for an area of the surface at a point (3,): cosine to the normal over footprint squared."""
+    along = square = 0.0
+    for axis in range(3):
+        sight = camera.center[axis] - point[axis]
+        along += sight * normal[axis]
+        square += sight * sight
+    return along / np.sqrt(square) * (camera.focal / depth) ** 2
 
 
 @kernel(parallel=True)

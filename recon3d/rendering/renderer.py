@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from recon3d.errors import ArgumentError
 from recon3d.rendering.ray_caster import RayCaster
+from recon3d.rendering.texture import Texture
 from recon3d.scene.view import View
 
 _BAND = 1 << 20  # rays at a time, of some hundred bytes each
@@ -63,9 +64,12 @@ class Renderer:
     Parameters
     ----------
     caster : of the mesh, where there is one already.
+    texture : colours of the mesh, instead of those of its vertices.
     """
 
-    def __init__(self, mesh: o3d.geometry.TriangleMesh, caster: RayCaster | None = None) -> None:
+    def __init__(
+        self, mesh: o3d.geometry.TriangleMesh, caster: RayCaster | None = None, *, texture: Texture | None = None
+    ) -> None:
         if not mesh.has_triangles():
             raise ArgumentError("the mesh to render has no triangles")
         if not mesh.has_vertex_normals():
@@ -75,6 +79,7 @@ class Renderer:
         self._triangles = np.asarray(mesh.triangles)
         self._normals = np.asarray(mesh.vertex_normals)
         self._colors = np.asarray(mesh.vertex_colors) if mesh.has_vertex_colors() else np.full_like(self._normals, 0.7)
+        self._texture = texture
         self._caster = caster or RayCaster(mesh)
 
     def render(self, K: NDArray[np.float64], cam_from_world: NDArray[np.float64], width: int, height: int) -> Rendering:
@@ -112,16 +117,18 @@ class Renderer:
         return normals, np.abs(cosine)
 
     def colors(self, seen: SeenPixels) -> NDArray[np.float64]:
-        """(rows, columns, 3) vertex colours in [0, 1]; zero beside the mesh."""
-        return np.clip(self._interpolated(self._colors, seen), 0, 1)
+        """(rows, columns, 3) colours in [0, 1], of the vertices or the texture; zero beside the mesh."""
+        if self._texture is None:
+            return np.clip(self._interpolated(self._colors, seen), 0, 1)
+        image = np.zeros((*seen.hit.shape, 3))
+        image[seen.hit] = self._texture.colors(seen.triangle[seen.hit], seen.corner_weights)
+        return image
 
     def _interpolated(self, values: NDArray[np.float64], seen: SeenPixels) -> NDArray[np.float64]:
         """(rows, columns, 3) of values (n_vertices, 3); zero beside the mesh."""
         hit = seen.hit
-        uv = seen.uv[hit].astype(np.float64)
-        weights = np.column_stack([1 - uv.sum(axis=1), uv])
         image = np.zeros((*hit.shape, 3))
-        image[hit] = np.einsum("nc,ncd->nd", weights, values[self._triangles[seen.triangle[hit]]])
+        image[hit] = np.einsum("nc,ncd->nd", seen.corner_weights, values[self._triangles[seen.triangle[hit]]])
         return image
 
 
@@ -148,6 +155,12 @@ class SeenPixels:
     def hit(self) -> NDArray[np.bool_]:
         """(rows, columns) pixels that show the mesh."""
         return np.isfinite(self.depth)
+
+    @property
+    def corner_weights(self) -> NDArray[np.float64]:
+        """(n, 3) weights of the corners of the triangles that the pixels with a hit show."""
+        uv = self.uv[self.hit].astype(np.float64)
+        return np.column_stack([1 - uv.sum(axis=1), uv])
 
     def strided(self, stride: int) -> SeenPixels:
         """Every stride-th row and column, the first included."""

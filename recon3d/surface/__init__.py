@@ -6,6 +6,7 @@ from recon3d.surface.meshing import Meshed, Meshing, mesh
 from recon3d.surface.minimum_cut import graph_cut
 from recon3d.surface.poisson import MeasuredSpace, Surface, mesh_points
 from recon3d.surface.repair import Repaired, Repairs, repair_mesh
+from recon3d.surface.texture import TexturedMesh, texture_mesh
 from recon3d.surface.vertex_colors import color
 from recon3d.surface.visibility import VertexVisibility, keep_vertices
 
@@ -17,6 +18,7 @@ __all__ = [
     "Repaired",
     "Repairs",
     "Surface",
+    "TexturedMesh",
     "VertexVisibility",
     "color",
     "decimate",
@@ -28,4 +30,5 @@ __all__ = [
     "mesh_volume",
     "repair_mesh",
     "surface_points",
+    "texture_mesh",
 ]

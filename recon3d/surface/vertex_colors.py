@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 import open3d as o3d
 from numpy.typing import NDArray
@@ -14,17 +13,10 @@ from scipy.spatial import cKDTree
 from recon3d.errors import ArgumentError, EmptyReconstructionError
 from recon3d.kernels.vertex_colors import Samples, Vertices, agreed_colors, sample_view
 from recon3d.rendering.ray_caster import RayCaster
-from recon3d.rendering.renderer import bands, pixel_rays
 from recon3d.scene.scene import Scene
-from recon3d.scene.view import View
 from recon3d.scratch import Scratch
+from recon3d.surface.trust import trusted_pixels
 from recon3d.surface.visibility import VertexVisibility
-
-_JUMP = 5.0  # pixel footprints of depth between neighbouring pixels that make an edge
-
-
-_EDGE_WEIGHT = 0.05  # of a pixel at an edge: it counts where nothing better is there
-
 
 _SWEEPS = 50  # edges that colours flow along the surface
 
@@ -83,7 +75,7 @@ def color(
     known = np.isfinite(colors[:, 0])
     if not known.any():
         raise EmptyReconstructionError(f"scene {scene.name}: no view shows any of the surface, so it has no colours")
-    _let_flow(colors, known, points, np.asarray(mesh.triangles))
+    let_flow(colors, known, points, np.asarray(mesh.triangles))
     mesh.vertex_colors = o3d.utility.Vector3dVector(np.clip(colors / 255, 0, 1))
     return mesh
 
@@ -102,7 +94,7 @@ def _agreed(vertices: Vertices, seen: NDArray[np.bool_], scene: Scene, caster: R
     for n, view in enumerate(scene.views):
         chosen = np.flatnonzero(seen[n])
         samples = Samples(np.empty((len(chosen), 3)), np.empty(len(chosen)))
-        sample_view(vertices, chosen, cameras.at(n), view.image, _trust(caster, view, cameras.focals[n]), samples)
+        sample_view(vertices, chosen, cameras.at(n), view.image, trusted_pixels(caster, view).trust, samples)
         sampled.append(scratch.keep(_Sampled(*samples)))
     colors = np.full((seen.shape[1], 3), np.nan)
     starts = np.zeros(len(sampled), np.int64)
@@ -118,27 +110,10 @@ def _agreed(vertices: Vertices, seen: NDArray[np.bool_], scene: Scene, caster: R
     return colors
 
 
-def _trust(caster: RayCaster, view: View, focal: float) -> NDArray[np.float32]:
-    """(height, width) weight of a view's pixels: 0 in and beside the background, little beside a jump of depth.
-
-    Inverse depth is linear in the pixels of a plane, however steep, so its second difference tells jumps from slopes.
-    """
-    window = np.ones((3, 3), np.uint8)
-    rays = (pixel_rays(view.K, view.cam_from_world, view.width, rows) for rows in bands(view.height, view.width))
-    inverse = 1 / np.concatenate([caster.first_hits(*each).distance for each in rays]).astype(np.float64)
-    bend = np.zeros_like(inverse)
-    bend[:, 1:-1] = np.abs(np.diff(inverse, 2, axis=1))
-    bend[1:-1] = np.maximum(bend[1:-1], np.abs(np.diff(inverse, 2, axis=0)))
-    edge = bend > _JUMP / focal * cv2.dilate(inverse, window)
-    background = ~view.may_show_object
-    beside, mixed = (cv2.dilate(mask.astype(np.uint8), window) > 0 for mask in (edge, background))
-    return np.where(mixed, 0.0, np.where(beside, _EDGE_WEIGHT, 1.0)).astype(np.float32)
-
-
-def _let_flow(
+def let_flow(
     colors: NDArray[np.float64], known: NDArray[np.bool_], points: NDArray[np.float64], triangles: NDArray[np.int32]
 ) -> None:
-    """Fill in the unknown of (n, 3) colours: those of the nearest known in space, smoothed along the surface."""
+    """Fill in the unknown (n,) of (n, 3) colours: those of the nearest known in space, smoothed along the surface."""
     if known.all():
         return
     # A balanced tree takes seven times as long here.

@@ -9,11 +9,12 @@ from typing import Annotated
 
 import typer
 
+from recon3d.checks import require_whole
 from recon3d.cli import options
 from recon3d.cli.arguments import make_method, views_of
 from recon3d.cli.console import run, say
 from recon3d.cli.options import ADVANCED, CARVING, INPUT, MATCHING, MEASURING, OUTPUT, SURFACE
-from recon3d.cli.results import save, writable
+from recon3d.cli.results import save, save_texture, writable
 from recon3d.cli.scenes import (
     at_detail,
     calibrated,
@@ -137,6 +138,14 @@ def command(
             rich_help_panel=OUTPUT,
         ),
     ] = None,
+    texture: Annotated[
+        int | None,
+        typer.Option(
+            metavar="TEXELS",
+            help="Make a texture of this width and height, too: GLB, and OBJ with MTL and PNG, in metres, y up.",
+            rich_help_panel=OUTPUT,
+        ),
+    ] = None,
     pictures: Annotated[bool, typer.Option(help="Render comparison and turntable.", rich_help_panel=OUTPUT)] = True,
     method_option: options.MethodOptions = None,
     test_option: Annotated[
@@ -172,8 +181,11 @@ def command(
     from recon3d.reporting.saving import save_prints
     from recon3d.settings import Settings
     from recon3d.stereo import PASSES
-    from recon3d.surface import Meshing
+    from recon3d.surface import Meshing, texture_mesh
+    from recon3d.surface.texture import LARGEST_SIZE, LEAST_SIZE
 
+    if texture is not None:
+        require_whole("--texture", texture, LEAST_SIZE, LARGEST_SIZE)
     settings = Settings(
         views=views_of(views),
         max_views=max_views,
@@ -225,6 +237,10 @@ def command(
     written = save(result, folder, sorted(set(formats) - set(for_printing)) or ["ply"], pictures=pictures)
     say({**result.summary(), "detail": chosen.told})
     say(written)
+    if texture is not None:
+        textured = texture_mesh(result.mesh, result.scene, size=texture)
+        say(textured.summary())
+        say(save_texture(textured, folder))
     if doubt := result.doubt():
         warnings.warn(f"{loaded.name}: {doubt}", stacklevel=1)
     elif lost := result.lost_parts():
