@@ -47,6 +47,11 @@ class Once(Generic[Value]):
                 self._made.append(make())
             return self._made[0]
 
+    @property
+    def is_made(self) -> bool:
+        """Whether anyone has asked for it."""
+        return bool(self._made)
+
     def __getstate__(self) -> list[Value]:
         return self._made
 

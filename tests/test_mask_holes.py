@@ -7,6 +7,8 @@ import pytest
 from numpy.typing import NDArray
 from scenes import ball_mesh, box_mesh, cameras, photographs, stripes
 
+from recon3d.cli.scenes import warn_of_findings
+from recon3d.diagnosis import check_scene
 from recon3d.errors import SceneWarning
 from recon3d.scene.mask_holes import contradicted_holes
 from recon3d.scene.scene import Scene
@@ -65,8 +67,20 @@ def test_a_gap_that_one_view_alone_looks_through_stays() -> None:
     assert contradicted_holes(scene.views, scene.bounds, BLACK) == {}
 
 
-def test_segmented_silhouettes_are_mended_with_a_word(ball: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
-    """One view's segmentation takes the dark spot for background."""
+def test_a_hole_in_a_given_mask_is_told_and_not_changed(ball: Scene) -> None:
+    assert check_scene(ball) == ()
+    rows, columns = np.mgrid[:120, :160]
+    mask = np.asarray(ball.views[3].silhouette) & ((rows - 48) ** 2 + (columns - 68) ** 2 >= 8**2)
+    views = [replace(view, mask=mask) if n == 3 else view for n, view in enumerate(ball.views)]
+    (finding,) = check_scene(replace(ball, views=tuple(views)))
+    assert (finding.kind, finding.about, finding.views) == ("holes in masks", "masks", (ball.views[3].name,))
+    assert f"contradict: {ball.views[3].name} near pixel 68,48. Nothing is changed" in finding.message
+    np.testing.assert_array_equal(views[3].silhouette, mask)
+
+
+@pytest.fixture
+def spoiled(monkeypatch: pytest.MonkeyPatch) -> tuple[list[int], dict[str, NDArray[np.bool_]]]:
+    """One view's segmentation takes the dark spot for background: how many pixels, and the right silhouettes."""
     from recon3d.scene import segmentation
 
     cut, spoiled, right = segmentation._grab_cut, [], {}
@@ -81,8 +95,30 @@ def test_segmented_silhouettes_are_mended_with_a_word(ball: Scene, monkeypatch: 
         return np.asarray(mask & ~spot)
 
     monkeypatch.setattr(segmentation, "_grab_cut", without_the_spot)
+    return spoiled, right
+
+
+Spoiled = tuple[list[int], dict[str, NDArray[np.bool_]]]
+
+
+def test_segmented_silhouettes_are_mended_with_a_word(ball: Scene, spoiled: Spoiled) -> None:
     with pytest.warns(SceneWarning, match=r"were filled: view08\.png \(\d+ pixels\)$"):
         mended = {view.name: view.silhouette for view in with_segmented_silhouettes(without_silhouettes(ball)).views}
-    assert spoiled[0] > 80
+    (n_spoiled,), right = spoiled
+    assert n_spoiled > 80
     for name, mask in mended.items():
-        assert (mask != right[name]).sum() <= 0.05 * spoiled[0]
+        assert (mask != right[name]).sum() <= 0.05 * n_spoiled
+
+
+@pytest.mark.usefixtures("spoiled")
+def test_a_check_tells_of_mended_silhouettes_once(ball: Scene) -> None:
+    segmented = with_segmented_silhouettes(without_silhouettes(ball))
+    with pytest.warns(UserWarning, match="they are filled: view08") as warned:
+        warn_of_findings(segmented, [])
+    assert len(warned) == 1
+
+
+@pytest.mark.usefixtures("spoiled")
+def test_a_check_alone_warns_of_nothing(ball: Scene) -> None:
+    (finding,) = check_scene(with_segmented_silhouettes(without_silhouettes(ball)))
+    assert (finding.kind, finding.views) == ("filled holes", ("view08.png",))

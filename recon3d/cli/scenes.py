@@ -163,17 +163,24 @@ def warn_of_doubts(doubted: Iterable[SceneWarning], findings: Sequence[Finding])
 def warn_of_findings(scene: Scene, doubted: Iterable[SceneWarning]) -> None:
     """Warn of what a quick check of a scene finds, before it is reconstructed, each thing once.
 
+    Silhouettes that are made of the photographs are made for it.
+
     Parameters
     ----------
     doubted : what was left in doubt when the scene was opened.
     """
     from recon3d.diagnosis import check_scene
+    from recon3d.scene.mask import ComputedMask
 
-    with progress() as report:
+    made = [view for view in scene.views if isinstance(view.mask, ComputedMask)]
+    with progress() as report, doubts() as of_silhouettes:
+        for n, view in enumerate(made):
+            report("silhouettes", n, len(made))
+            _ = view.silhouette
         report("checking", 0, 1)
         findings = check_scene(scene)
         report("checking", 1, 1)
-    warn_of_doubts(doubted, findings)
+    warn_of_doubts([*doubted, *of_silhouettes], findings)
     for finding in findings:
         warnings.warn(f"{scene.name}: {finding}", stacklevel=2)
 

@@ -13,6 +13,7 @@ from recon3d.diagnosis.boxes import box_findings
 from recon3d.diagnosis.cameras import camera_findings, cameras_of
 from recon3d.diagnosis.epipolar import agreement, triangulated
 from recon3d.diagnosis.finding import Finding
+from recon3d.diagnosis.holes import hole_findings
 from recon3d.diagnosis.masks import mask_findings
 from recon3d.diagnosis.matches import Matches, Picture
 from recon3d.diagnosis.photographs import photograph_findings, sharpness
@@ -116,7 +117,9 @@ def diagnose(scene: Scene, *, max_views: int = 60) -> Diagnosis:
     )
     # Bounds and masks are compared by the cameras, which must be right for that.
     bounds = [] if cameras else _about("bounds", box_findings(scene, points))
-    masks = _about("masks", mask_findings(scene, pictures, looked_at.matches, agree=not cameras and not bounds))
+    agree = not cameras and not bounds
+    masks = mask_findings(scene, pictures, looked_at.matches, agree=agree)
+    masks = _about("masks", masks or (hole_findings(scene, pictures) if agree else []))
     return replace(looked_at, bounds=scene.bounds, findings=(*cameras, *bounds, *masks, *photographs))
 
 

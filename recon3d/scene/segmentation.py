@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import warnings
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from os import cpu_count
@@ -53,6 +53,21 @@ def with_segmented_silhouettes(scene: Scene, *, only: Collection[str] | None = N
     return with_masks(scene, lambda view: _Mended(view, together), [view.name for view in masked])
 
 
+def filled_holes(views: Iterable[View], scale: float) -> list[str]:
+    """Names of the views in whose segmented silhouettes holes are filled, without a warning.
+
+    Parameters
+    ----------
+    scale : of the photographs, at most 1, at which silhouettes are made where they are not there in full size.
+    """
+    together = next((view.mask.together for view in views if isinstance(view.mask, _Mended)), None)
+    if together is None:
+        return []
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", SceneWarning)
+        return list((together if together.is_checked or scale == 1 else together.shrunk(scale)).holes)
+
+
 @dataclass(frozen=True, eq=False)
 class _Segmented(ComputedMask):
     """The silhouette that GrabCut finds."""
@@ -92,9 +107,19 @@ class _Together(ByContent):
     def __hash__(self) -> int:
         return hash((self.name, len(self.views)))  # every view's mask asks for it
 
+    @property
+    def is_checked(self) -> bool:
+        """Whether the silhouettes are made and were compared."""
+        return self._holes.is_made
+
+    @property
+    def holes(self) -> dict[str, ArrayMask]:
+        """Those that are filled, by the views' names."""
+        return self._holes.get(self._find)
+
     def mended(self, name: str) -> NDArray[np.bool_]:
         """(height, width) the silhouette of a view, without holes that the others contradict."""
-        hole = self._holes.get(self._find).get(name)
+        hole = self.holes.get(name)
         (mask,) = (view.silhouette for view in self.views if view.name == name)
         if mask is None or hole is None:
             return np.asarray(mask)
