@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import open3d as o3d
 from numpy.typing import NDArray
@@ -9,7 +11,8 @@ from numpy.typing import NDArray
 from recon3d.kernels.vertex_colors import Samples, Vertices, sample_view
 from recon3d.rendering.ray_caster import RayCaster
 from recon3d.scene.scene import Scene
-from recon3d.surface.trust import trusted_pixels
+from recon3d.scratch import Stored
+from recon3d.surface.trust import TrustedPixels
 from recon3d.surface.visibility import VertexVisibility
 
 _SAMPLES = 1 << 21  # of all views together, at most
@@ -20,7 +23,9 @@ _ROUNDING = 0.02  # difference of logarithms below which all count the same
 _HELD = 0.01  # share of a view's weight that holds it at a gain of one
 
 
-def view_gains(mesh: o3d.geometry.TriangleMesh, scene: Scene, caster: RayCaster) -> NDArray[np.float64]:
+def view_gains(
+    mesh: o3d.geometry.TriangleMesh, scene: Scene, caster: RayCaster, trusted: Sequence[Stored[TrustedPixels]]
+) -> NDArray[np.float64]:
     """(n_views, 3) factors of the views' red, green and blue that even out what they show of the same surface.
 
     The logarithm of a grey level is the surface's plus the view's. Those of the views that leave the least sum of
@@ -30,6 +35,8 @@ def view_gains(mesh: o3d.geometry.TriangleMesh, scene: Scene, caster: RayCaster)
     Parameters
     ----------
     mesh : with vertex normals.
+    caster : of the mesh.
+    trusted : pixels of each view.
 
     References
     ----------
@@ -42,11 +49,12 @@ def view_gains(mesh: o3d.geometry.TriangleMesh, scene: Scene, caster: RayCaster)
     points.vertex_normals = o3d.utility.Vector3dVector(np.asarray(mesh.vertex_normals)[chosen])
     seen = VertexVisibility.of(points, scene, caster).seen
     vertices = Vertices(np.asarray(points.vertices), np.asarray(points.vertex_normals))
+    cameras = scene.cameras
     levels, weights = np.ones((*seen.shape, 3)), np.zeros(seen.shape)
     for n, view in enumerate(scene.views):
         own = np.flatnonzero(seen[n])
         samples = Samples(np.empty((len(own), 3)), np.empty(len(own)))
-        sample_view(vertices, own, scene.cameras.at(n), view.image, trusted_pixels(caster, view).trust, samples)
+        sample_view(vertices, own, cameras.at(n), view.image, trusted[n].read().trust.copy(), samples)
         proportional = ((samples.colors > _DARK) & (samples.colors < _BRIGHT)).all(axis=1)
         levels[n, own[proportional]], weights[n, own[proportional]] = (each[proportional] for each in samples)
     weights[:, (weights > 0).sum(axis=0) < 2] = 0  # nothing to compare with

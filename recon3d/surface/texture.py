@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,13 +21,13 @@ from recon3d.rendering.ray_caster import RayCaster
 from recon3d.rendering.texture import Texture
 from recon3d.scene.scene import Scene
 from recon3d.scene.view import View
-from recon3d.scratch import Scratch
+from recon3d.scratch import Scratch, Stored
 from recon3d.summary import Summarised
 from recon3d.surface.atlas import unwrap
 from recon3d.surface.decimation import Decimation, decimate
 from recon3d.surface.exposure import view_gains
 from recon3d.surface.repair import triangle_areas
-from recon3d.surface.trust import trusted_pixels
+from recon3d.surface.trust import TrustedPixels, trusted_pixels
 from recon3d.surface.vertex_colors import let_flow
 
 LEAST_SIZE, LARGEST_SIZE = 16, 16384
@@ -37,9 +38,9 @@ TRIANGLES = 50_000
 
 _KEPT = 6  # best views of a texel
 
-_SHARPNESS = 4.0  # power of the weights of the views' detail
+_SHARPNESS = 2.0  # power of the weights of the views' detail
 
-_DETAIL = 6.0  # pixels; the standard deviation of the blur that is taken from a photograph to leave its detail
+_DETAIL = 3.0  # pixels; the standard deviation of the blur that is taken from a photograph to leave its detail
 
 _FEATHER = 16.0  # pixels over which a view's weight falls towards its border, the background and jumps of depth
 
@@ -142,14 +143,20 @@ def texture_mesh(
     texel = _texel_size(fewer, places, size)
     views = scene.shrunk(min(1.0, scene.pixel_footprint / texel))
     caster = RayCaster(fewer)
-    gains = view_gains(fewer, views, caster)
+    scratch = Scratch()
+    trusted = [scratch.keep(trusted_pixels(caster, view)) for view in views.views]
+    gains = view_gains(fewer, views, caster, trusted)
     charted = Charted(
         np.asarray(fewer.vertices), np.asarray(fewer.vertex_normals), np.asarray(fewer.triangles), places * size - 0.5
     )
     owner = _owners(charted, size)
     colors = np.full((size * size, 3), np.nan, np.float32)
     texels = np.flatnonzero(owner >= 0)
-    colors[texels] = _baked(charted, texels, owner, views, gains, caster)
+    cameras = views.cameras
+    prepared = [
+        scratch.keep(_prepared(view, cameras.at(n), gains[n], trusted[n].read())) for n, view in enumerate(views.views)
+    ]
+    colors[texels] = _baked(charted, texels, owner, prepared)
     seen = np.isfinite(colors[texels, 0])
     if not seen.any():
         raise EmptyReconstructionError(f"scene {scene.name}: no view shows any of the surface, so it has no texture")
@@ -199,17 +206,9 @@ class _Prepared:
 
 
 def _baked(
-    charted: Charted,
-    texels: NDArray[np.int64],
-    owner: NDArray[np.int32],
-    scene: Scene,
-    gains: NDArray[np.float64],
-    caster: RayCaster,
+    charted: Charted, texels: NDArray[np.int64], owner: NDArray[np.int32], prepared: Sequence[Stored[_Prepared]]
 ) -> NDArray[np.float32]:
-    """(n, 3) colours of texels (n,), 0 to 255; NaN where no view sees them. One view is read at a time."""
-    scratch = Scratch()
-    cameras = scene.cameras
-    prepared = [scratch.keep(_prepared(view, cameras.at(n), gains[n], caster)) for n, view in enumerate(scene.views)]
+    """(n, 3) colours of texels (n,), 0 to 255; NaN where no view sees them."""
     colors = np.full((len(texels), 3), np.nan, np.float32)
     kept = min(_KEPT, len(prepared))
     for first in range(0, len(texels), _BATCH):
@@ -221,19 +220,16 @@ def _baked(
         )
         owners = owner.ravel()[batch]
         for each in prepared:
-            shown = each.read()
-            keep_best(
-                charted, batch, owners, owner.shape[1],
-                Shown(shown.camera, shown.image, shown.coarse, shown.trust, shown.inverse_depth),
-                _CLEARANCE / shown.camera.focal, best,
-            )  # fmt: skip
+            view = each.read()
+            shown = Shown(view.camera, view.image, view.coarse, view.trust, view.inverse_depth)
+            keep_best(charted, batch, owners, owner.shape[1], shown, _CLEARANCE / view.camera.focal, best)
         blend(best, _SHARPNESS, colors[first : first + _BATCH])
     return colors
 
 
-def _prepared(view: View, camera: Camera, gains: NDArray[np.float64], caster: RayCaster) -> _Prepared:
+def _prepared(view: View, camera: Camera, gains: NDArray[np.float64], trusted: TrustedPixels) -> _Prepared:
     """A view's photograph with its exposure evened, without detail, and how far its pixels are trusted."""
-    trust, inverse_depth = trusted_pixels(caster, view)
+    trust, inverse_depth = trusted.trust, trusted.inverse_depth
     inner = np.zeros((view.height + 2, view.width + 2), np.uint8)
     inner[1:-1, 1:-1] = (trust == 1) & (inverse_depth > 0)
     from_border = cv2.distanceTransform(inner, cv2.DIST_L2, 3)[1:-1, 1:-1]

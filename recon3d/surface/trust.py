@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -19,7 +19,8 @@ EDGE_WEIGHT = 0.05
 """Of a pixel at an edge: it counts where nothing better is there."""
 
 
-class TrustedPixels(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class TrustedPixels:
     """How far a view's pixels can be trusted, and what they show."""
 
     trust: NDArray[np.float32]
