@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from fractions import Fraction
+from functools import cache
 from itertools import product
 from math import ceil, floor
 
@@ -206,18 +207,36 @@ def brute_force_items(scene: Scene, volume: CarvingVolume, occupied: NDArray[np.
     return np.stack(answer)
 
 
-def matching_neighbours_twin(scene: Scene, most: int) -> list[list[int]]:
-    """For each view the nearest others 5 to 60 degrees away, seen from the middle, that are 5 degrees apart."""
-    rays = [view.center - scene.bounds.center for view in scene.views]
+def matching_neighbours_twin(scene: Scene, places: NDArray[np.float64], most: int) -> list[list[int]]:
+    """For each view the nearest others, by the places (m, 3) in the bounds that two views see."""
+    n = len(scene.views)
+    seen = [view.sees(places) for view in scene.views]
 
+    @cache
     def angle(a: int, b: int) -> float:
-        return float(np.degrees(np.arctan2(np.linalg.norm(np.cross(rays[a], rays[b])), rays[a] @ rays[b])))
+        rays = [(scene.views[a].center - place, scene.views[b].center - place) for place in places[seen[a] & seen[b]]]
+        between = [np.arctan2(np.linalg.norm(np.cross(one, two)), one @ two) for one, two in rays]
+        return float(np.degrees(np.mean(between))) if between else np.inf
+
+    def share(a: int, b: int) -> float:
+        return float((seen[a] & seen[b]).sum() / seen[a].sum())
+
+    @cache
+    def nearness(a: int, b: int) -> float:
+        ratios = []
+        for place in places[seen[a] & seen[b]]:
+            sizes = [np.linalg.norm(scene.views[k].center - place) / scene.cameras.focals[k] for k in (a, b)]
+            ratios.append(max(sizes) / min(sizes))
+        return round(angle(a, b) * max(np.mean(ratios) / 1.5, 1), 6)
 
     chosen = []
-    for view in range(len(rays)):
+    for view in range(n):
+        possible = [other for other in range(n) if other != view and 5 <= angle(view, other) <= 60]
+        best = max((share(view, other) for other in possible), default=0)
+        possible = [other for other in possible if share(view, other) >= 0.25 * best]
         others: list[int] = []
-        for other in sorted(range(len(rays)), key=lambda n: angle(view, n)):
-            if 5 <= angle(view, other) <= 60 and all(angle(other, known) >= 5 for known in others):
+        for other in sorted(possible, key=lambda other, view=view: nearness(view, other)):  # type: ignore[misc]
+            if not any(angle(other, known) < 5 and share(other, known) >= 0.5 for known in others):
                 others.append(other)
         chosen.append(others[:most])
     return chosen

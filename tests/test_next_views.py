@@ -14,10 +14,10 @@ from recon3d.errors import ArgumentError
 from recon3d.evaluation import Coverage, propose_views
 from recon3d.evaluation.distances import sample_surface
 from recon3d.evaluation.next_views import _Choice, candidate_cameras
-from recon3d.evaluation.sights import Sights
 from recon3d.rendering.ray_caster import RayCaster
 from recon3d.scene.camera import Camera
 from recon3d.scene.scene import Scene
+from recon3d.surface.sights import Sights
 
 
 @pytest.fixture(scope="module")

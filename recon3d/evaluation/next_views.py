@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from recon3d.checks import require_whole
 from recon3d.errors import ArgumentError
 from recon3d.evaluation.distances import sample_surface
-from recon3d.evaluation.sights import Sights
 from recon3d.rendering.orbit import look_at, up_direction
 from recon3d.rendering.ray_caster import RayCaster
 from recon3d.scene.bounds import place_text
 from recon3d.scene.camera import Camera
 from recon3d.scene.scene import Scene
+from recon3d.surface.sights import Sights
 
 _SAMPLES = 4000  # of the surface
 _CANDIDATES = 500  # directions over the whole sphere

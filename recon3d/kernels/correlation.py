@@ -8,6 +8,9 @@ from numpy.typing import NDArray
 from recon3d.kernels import kernel
 from recon3d.kernels.types import Compared
 
+OUTSIDE = -2.0
+"""Instead of a correlation: the window leaves the other view, or lies behind it."""
+
 _LEAST_VARIANCE = np.float32(0.25)  # grey levels squared of the other window; with less there is nothing to match
 
 _MARGIN = 0.01  # pixels to the border, more than single precision rounds places of a window off by
@@ -59,7 +62,7 @@ def grid(half: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
 
 @kernel(regrouped=True)
 def correlation(own: Samples, plane: Plane, compared: Compared, j: int) -> float:
-    """Weighted NCC of a window with its image in view j; -1 where that leaves the view or is flat.
+    """Weighted NCC of a window with its image in view j; -1 where that is flat, ``OUTSIDE`` where it leaves the view.
 
     Within a window the plane's homography is as good as its affine part, which needs no division a sample. Single
     precision, flat indexes without a sign and sums in any order let the processor take several samples at once.
@@ -70,7 +73,7 @@ def correlation(own: Samples, plane: Plane, compared: Compared, j: int) -> float
     width, height = compared.other_sizes[j, 0], compared.other_sizes[j, 1]
     z = H[2, 0] * u + H[2, 1] * v + H[2, 2] + w * e[2]
     if z <= 0.0:
-        return -1.0
+        return OUTSIDE
     x = (H[0, 0] * u + H[0, 1] * v + H[0, 2] + w * e[0]) / z
     y = (H[1, 0] * u + H[1, 1] * v + H[1, 2] + w * e[1]) / z
     zu = H[2, 0] + wu * e[2]
@@ -82,7 +85,7 @@ def correlation(own: Samples, plane: Plane, compared: Compared, j: int) -> float
     wide = half * (abs(xu) + abs(xv)) + _MARGIN
     high = half * (abs(yu) + abs(yv)) + _MARGIN
     if not (x >= wide and y >= high and x + wide < width - 1.0 and y + high < height - 1.0):
-        return -1.0
+        return OUTSIDE
     other = compared.others[j].reshape(-1)
     stride = np.uint32(compared.others.shape[2])
     left, top = np.float32(x), np.float32(y)

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recon3d.kernels import Part, kernel, span
-from recon3d.kernels.correlation import Plane, Samples, correlation, grid
+from recon3d.kernels.correlation import OUTSIDE, Plane, Samples, correlation, grid
 from recon3d.kernels.types import Compared
 
 
@@ -44,8 +44,8 @@ def best_depths(
 ) -> None:
     """Depth at which the windows of a view's pixels (n, 2) agree best with other views, and that agreement.
 
-    Windows stand parallel to the image. The score of a depth is the mean of the two best correlations; scores is -1
-    where there is none.
+    Windows stand parallel to the image. The score of a depth is the mean of the two best correlations, or the only one
+    where a single view holds the window; scores is -1 where there is none.
     """
     image, width, height = compared.image, compared.size[0], compared.size[1]
     nearest, farthest, step = tried
@@ -82,14 +82,16 @@ def best_depths(
             plane = Plane(1.0 / z, 0.0, 0.0)
             first = -1.0
             second = -1.0
+            n_seen = 0
             for j in range(n_others if z > 0.0 else 0):  # nothing behind the camera is seen
                 ncc = correlation(own, plane, compared, j)
+                n_seen += ncc > OUTSIDE
                 if ncc > first:
                     second = first
                     first = ncc
                 elif ncc > second:
                     second = ncc
-            score = 0.5 * (first + second) if n_others > 1 else first
+            score = 0.5 * (first + second) if n_seen > 1 else first
             if best_at == s - 1 and best_at >= 0:
                 right = score
             if score > scores[n]:

@@ -67,6 +67,18 @@ class Bounds:
         """(8, 3) corners, world."""
         return np.array(list(product(*zip(self.low, self.high, strict=True))))
 
+    def grid(self, nx: int, ny: int, nz: int) -> NDArray[np.float64]:
+        """(nx * ny * nz, 3) middles of so many cells along the sides, world."""
+        steps = ((np.arange(n) + 0.5) / n for n in (nx, ny, nz))
+        cells = np.stack(np.meshgrid(*steps, indexing="ij"), axis=-1).reshape(-1, 3)
+        return np.asarray(self.low + cells * self.extent)
+
+    def places(self, n: int) -> NDArray[np.float64]:
+        """(about n, 3) places all over the box, equally far apart along its sides, world."""
+        spacing = (self.extent.prod() / n) ** (1 / 3)
+        nx, ny, nz = (max(round(side / spacing), 1) for side in self.extent)
+        return self.grid(nx, ny, nz)
+
     def padded(self, margin: float) -> Bounds:
         """The box with a margin in world units on every side; a negative one shrinks it."""
         return Bounds(np.subtract(self.low, margin), np.add(self.high, margin))

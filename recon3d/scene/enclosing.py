@@ -116,7 +116,7 @@ def silhouettes_explained(views: Sequence[View], bounds: Bounds) -> NDArray[np.f
     ----------
     views : n, all with silhouettes.
     """
-    held = _cells(bounds)[_in_silhouettes(views, bounds).ravel()]
+    held = bounds.grid(_N, _N, _N)[_in_silhouettes(views, bounds).ravel()]
     radius = 0.5 * float(np.linalg.norm(bounds.extent)) / _N
     shares = []
     for view in views:
@@ -173,16 +173,9 @@ def _extent(cube: Bounds, holds: Callable[[Bounds], NDArray[np.bool_]], *, round
     return box.padded(PADDING * box.longest)
 
 
-def _cells(box: Bounds) -> NDArray[np.float64]:
-    """(n ** 3, 3) middles of the cells of a box."""
-    steps = (np.arange(_N) + 0.5) / _N
-    grid = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
-    return np.asarray(box.low + grid * box.extent)
-
-
 def _in_silhouettes(views: Sequence[View], box: Bounds) -> NDArray[np.bool_]:
     """Which cells may be in all silhouettes; what fewer than half of the views show is not."""
-    cells, left = _cells(box), np.arange(_N**3)
+    cells, left = box.grid(_N, _N, _N), np.arange(_N**3)
     seen = np.zeros(len(left), np.int64)
     radius = 0.5 * float(np.linalg.norm(box.extent)) / _N
     for view in views:
@@ -216,5 +209,5 @@ def _grown(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 def _seen_by_most(views: Sequence[View], box: Bounds) -> NDArray[np.bool_]:
     """Which cells as many views see as any, but for a tenth."""
-    counts = np.sum([view.sees(_cells(box)) for view in views], axis=0)
+    counts = np.sum([view.sees(box.grid(_N, _N, _N)) for view in views], axis=0)
     return np.asarray((counts >= max(0.9 * counts.max(), 1)).reshape(_N, _N, _N))

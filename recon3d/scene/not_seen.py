@@ -39,9 +39,7 @@ def why_not_seen(views: Sequence[View], bounds: Bounds) -> str | None:
     ----------
     views : n, most of which do not see the bounds.
     """
-    steps = (np.arange(_PROBES) + 0.5) / _PROBES
-    probes = bounds.low + np.stack(np.meshgrid(steps, steps, steps), axis=-1).reshape(-1, 3) * bounds.extent
-    probes = np.vstack([bounds.center, probes])
+    probes = np.vstack([bounds.center, bounds.grid(_PROBES, _PROBES, _PROBES)])
     poses = np.array([view.cam_from_world for view in views])
     held = [text for text, undone in _POSES.items() if _fits(views, np.array([undone(pose) for pose in poses]), probes)]
     held += [

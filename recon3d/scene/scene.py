@@ -27,6 +27,7 @@ NO_SILHOUETTES = "no silhouettes"
 """Note of why none were made where none are known."""
 
 _PICTURED = 48  # photographs at most
+_PROBES = 512  # places in the bounds
 _QUESTION = "Is this another data set's box, or are the matrices camera-to-world?"
 
 
@@ -173,13 +174,21 @@ class Scene(ByContent, Summarised):
 
     @property
     def pixel_footprint(self) -> float:
-        """Median size of a pixel at the centre of the bounds, world units."""
-        middle = self.bounds.center[None]
-        sizes = [view.project(middle)[1][0] / np.sqrt(view.K[0, 0] * view.K[1, 1]) for view in self.views]
-        before = [size for size in sizes if size > 0]
-        if not before:
+        """Median size of a pixel at the centre of the bounds, world units.
+
+        Where the centre lies behind every camera, or cameras stand inside the bounds, of what each view sees of them.
+        """
+        inside = (np.abs(self.centers - self.bounds.center) < self.bounds.extent / 2).all(axis=1).any()
+        focals = [np.sqrt(view.K[0, 0] * view.K[1, 1]) for view in self.views]
+        depths = [float(view.project(self.bounds.center[None])[1][0]) for view in self.views]
+        if inside or max(depths) <= 0:
+            places = self.bounds.places(_PROBES)
+            seen = [view.project(places)[1][view.sees(places)] for view in self.views]
+            depths = [float(np.median(each)) if len(each) else 0.0 for each in seen]
+        sizes = [depth / focal for depth, focal in zip(depths, focals, strict=True) if depth > 0]
+        if not sizes:
             raise SceneError(f"scene {self.name}: the centre of the bounds lies behind every camera")
-        return float(np.median(before))
+        return float(np.median(sizes))
 
     def known_scale(self) -> float:
         """``mm_per_unit``, for what is measured in millimetres.
