@@ -527,3 +527,39 @@ def test_the_command_line_leaves_the_table_out(temple: BuiltInScene, bare: Path)
         assert "no table can be left out of them" in str(done.exception)
     told = open_scene(write_middlebury(temple.scene, bare.parent / "boxed"), object_alone=True).notes["bounds"]
     assert told.endswith("; no table was looked for")
+
+
+def test_an_object_before_many_colors_is_cut_out_around_sparse_points(temple: BuiltInScene, bare: Path) -> None:
+    random = np.random.default_rng(1)
+    views = temple.scene.views
+    for view in views:
+        assert view.silhouette is not None
+        tiles = np.kron(random.integers(0, 2, (15, 20, 1)), np.ones((8, 8, 1)))
+        image = np.where(tiles > 0, (30, 90, 170), (60, 150, 60)) + random.normal(0, 6, view.image.shape)
+        image = np.where(view.silhouette[..., None], view.image, image.clip(0, 255))
+        write_image(bare / view.name, image.astype(np.uint8))
+    mesh = temple.ground_truth
+    triangles = np.asarray(mesh.vertices)[np.asarray(mesh.triangles)]
+    points = np.einsum("nk,nkd->nd", random.dirichlet((1, 1, 1), len(triangles)), triangles)[::3]
+    around = random.uniform(-0.3, 0.3, (100, 3))
+    write_colmap(without_skew(temple.scene), bare / "sparse", points=np.concatenate([points, around]))
+    (bare / "little-temple_par.txt").unlink()
+    read = open_scene(bare, silhouettes="segmented")
+    assert re.search(r"around 1\d\d\d sparse points", read.notes["masks"])
+    overlaps, kept = [], []
+    for view, exact in zip(read.views, views, strict=True):
+        assert view.silhouette is not None
+        assert exact.silhouette is not None
+        both = view.silhouette & exact.silhouette
+        overlaps.append(both.sum() / (view.silhouette | exact.silhouette).sum())
+        kept.append(both.sum() / exact.silhouette.sum())
+    assert np.mean(overlaps) > 0.9  # a pixel all around is a tenth of so small an object
+    assert min(kept) > 0.97
+    assert read.fingerprint() == open_scene(bare, silhouettes="segmented").fingerprint()
+    half = read.shrunk(0.5).views[0].silhouette
+    assert half is not None
+    assert half.shape == (60, 80)
+    few = random.uniform(temple.scene.bounds.low, temple.scene.bounds.high, (60, 3))
+    write_colmap(without_skew(temple.scene), bare / "sparse", points=few)
+    with pytest.warns(UserWarning, match="give silhouettes as a folder of masks, or none"):
+        open_scene(bare, silhouettes="segmented", bounds=temple.scene.bounds.padded(0.001))

@@ -40,6 +40,7 @@ from recon3d.scene.mask import FileMask, Mask
 from recon3d.scene.mask_files import fitting_masks, mask_folders, masks_of_views
 from recon3d.scene.names import stems_of
 from recon3d.scene.scene import NO_SILHOUETTES, Scene
+from recon3d.scene.seeded import FEWEST_SEEDS, seeds_of, with_seeded_silhouettes
 from recon3d.scene.segmentation import with_segmented_silhouettes
 from recon3d.scene.silhouettes import with_mask_files, with_threshold_silhouettes
 from recon3d.scene.view import View
@@ -99,9 +100,9 @@ def open_scene(
         or one that is found from the silhouettes, from the format's points, or from what most cameras see.
     silhouettes : "auto": the scene's own masks where it has some (of the format, in a folder ``masks`` or
         ``silhouettes``, or the photographs' own opacity), else "none" where the background has many colors and
-        "segmented" where not; "segmented" or "threshold": made from a background of one color by GrabCut, or from a
-        dark one by the recipe of dinoSparseRing's README, of all views or of those that the scene says have good
-        ones; "none"; or a folder of masks.
+        "segmented" where not; "segmented": made by GrabCut, from a background of one color, or, where it has many,
+        around the format's sparse points; "threshold": made from a dark one by the recipe of dinoSparseRing's README;
+        both of all views or of those that the scene says have good ones; "none"; or a folder of masks.
     mm_per_unit : millimetres in one world unit; what the README of ``write_scene`` or the format says when None. Most
         formats have no unit: then no scale is known, and nothing is said in millimetres.
     images : folder of the photographs, where they do not lie with the cameras.
@@ -157,6 +158,12 @@ def open_scene(
             return scene
         enclosed = with_box_of_foreground(scene) if FROM_CAMERAS in told_box["bounds"] else scene
         return with_segmented_silhouettes(enclosed, only=found.masked)
+    if silhouettes == "segmented" and found.points is not None and not before_backdrop(scene):
+        seeds = seeds_of(found.points, scene.bounds)
+        if len(seeds) >= FEWEST_SEEDS:
+            told = f"cut out of a background of many colors around {len(seeds)} sparse points: look at them"
+            scene = replace(scene, notes={**scene.notes, "masks": told})
+            return with_seeded_silhouettes(scene, seeds, only=found.masked)
     check_foreground(scene, must_fit=bounds is None and not told_box, dark=silhouettes == "threshold")
     return _MADE[str(silhouettes)](scene, only=found.masked)
 
