@@ -236,6 +236,20 @@ def test_up_is_the_axis_that_the_cameras_stand_around(seed: int) -> None:
     np.testing.assert_allclose(up_direction(scene), R @ [0, 0, 1], atol=1e-9)
 
 
+@pytest.mark.parametrize("arc", [60.0, 4.0])
+def test_up_is_that_of_the_photographs_where_all_are_taken_from_one_side(arc: float) -> None:
+    # From 17 degrees above; within four degrees, up and forward cannot be told but by how the cameras were held.
+    scene = photographs(ball_mesh(), taken_by=cameras(6, arc=arc))
+    R = rotation(np.array([2.0, 0.5, -1.0]))
+    turned = np.eye(4)
+    turned[:3, :3] = R
+    views = tuple(
+        View.from_matrices(view.K, view.cam_from_world @ turned.T, view.image, name=view.name) for view in scene.views
+    )
+    off = np.degrees(np.arccos(up_direction(replace(scene, views=views)) @ R @ [0, 0, 1]))
+    assert off < (0.1 if arc > 10 else 18)
+
+
 def test_up_is_the_third_axis_for_fewer_than_three_views() -> None:
     scene = photographs(ball_mesh(), taken_by=cameras(2))
     assert up_direction(scene).tolist() == [0, 0, 1]

@@ -154,7 +154,7 @@ def test_a_surface_that_no_view_shows_has_no_texture() -> None:
 
 def test_bad_sizes_are_refused() -> None:
     mesh, scene = ball_scene(2)
-    with pytest.raises(ArgumentError, match="expected size to be a whole number from 16 to 16384, got 0"):
+    with pytest.raises(ArgumentError, match="expected size to be a whole number from 16 to 8192, got 0"):
         texture_mesh(mesh, scene, size=0)
     with pytest.raises(ArgumentError, match="expected triangles"):
         texture_mesh(mesh, scene, triangles=1)

@@ -10,21 +10,41 @@ from numpy.typing import NDArray
 
 from recon3d.scene.scene import Scene
 
+_ONE_SIDED = 0.7  # length of the mean of the cameras' unit forward axes
+_SPREAD = 0.02  # mean square of the rows' directions along the second least of their axes
 _ALONG_AXIS = np.cos(np.radians(15))
 
 
 def up_direction(scene: Scene) -> NDArray[np.float64]:
     """(3,) unit axis that the cameras stand around, pointing to the side of the object from which they look down.
 
-    The normal of the plane that fits the camera centres best; the third world axis for fewer than three views.
+    The normal of the plane that fits the camera centres best. Cameras that all stand on one side of the object tell
+    no such axis: then they are taken to have been held upright, and up is what is most at right angles to the rows of
+    their images. The third world axis for fewer than three views.
+
+    References
+    ----------
+    Szeliski, "Image alignment and stitching: a tutorial", 2006, section 5.2 (the global up vector).
     """
     centers = scene.centers
     if len(centers) < 3:
         return np.array([0.0, 0.0, 1.0])
+    axes = np.array([view.cam_from_world[:3, :3] for view in scene.views])
+    if np.linalg.norm(axes[:, 2].mean(axis=0)) > _ONE_SIDED:
+        return _upright_photographs(axes)
     middle = centers.mean(axis=0)
     axis = np.asarray(np.linalg.svd(centers - middle)[2][2])
     above = (middle - scene.bounds.center) @ axis
     return axis if above >= 0 else -axis
+
+
+def _upright_photographs(axes: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(3,) up of cameras by their axes in the world (n, 3, 3): right, down, forward."""
+    upwards = -axes[:, 1].mean(axis=0)
+    shares, directions = np.linalg.eigh(np.einsum("nd,ne->de", axes[:, 0], axes[:, 0]) / len(axes))
+    # Where all rows point the same way, up and forward are both at right angles to them.
+    up = directions[:, 0] if shares[1] > _SPREAD else upwards / np.linalg.norm(upwards)
+    return np.asarray(up if up @ upwards >= 0 else -up)
 
 
 def upright(scene: Scene, *, up: Literal["y", "z"], unit_mm: float) -> NDArray[np.float64]:

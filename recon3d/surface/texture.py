@@ -30,7 +30,7 @@ from recon3d.surface.repair import triangle_areas
 from recon3d.surface.trust import TrustedPixels, trusted_pixels
 from recon3d.surface.vertex_colors import let_flow
 
-LEAST_SIZE, LARGEST_SIZE = 16, 16384
+LEAST_SIZE, LARGEST_SIZE = 16, 8192
 """Of a texture, texels a side."""
 
 TRIANGLES = 50_000
@@ -233,7 +233,7 @@ def _prepared(view: View, camera: Camera, gains: NDArray[np.float64], trusted: T
     inner = np.zeros((view.height + 2, view.width + 2), np.uint8)
     inner[1:-1, 1:-1] = (trust == 1) & (inverse_depth > 0)
     from_border = cv2.distanceTransform(inner, cv2.DIST_L2, 3)[1:-1, 1:-1]
-    levels = np.clip(view.image * gains, 0, 255).astype(np.float32)
+    levels = np.clip(view.image * gains.astype(np.float32), 0, 255)
     shows = (trust > 0).astype(np.float32)
     share = np.asarray(cv2.GaussianBlur(shows, (0, 0), _DETAIL))
     blurred = cv2.GaussianBlur(levels * shows[..., None], (0, 0), _DETAIL) / np.maximum(share, 1e-6)[..., None]
