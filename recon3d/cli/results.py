@@ -74,18 +74,32 @@ def record_of(result: Path) -> dict[str, Any] | None:
         raise DataError(f"{file}: expected the record of a run, got something else ({error!r})") from None
 
 
-def recorded_scene(result: Path, record: dict[str, Any] | None, *, silhouettes: str = "none", hint: str = "") -> Scene:
-    """The scene that a result was made of, with the views that were used; a hint ends the error that none is known."""
+def recorded_scene(
+    result: Path,
+    record: dict[str, Any] | None,
+    *,
+    silhouettes: str = "none",
+    hint: str = "",
+    whole_photographs: bool = False,
+) -> Scene:
+    """The scene that a result was made of, with the views that were used.
+
+    Parameters
+    ----------
+    hint : ends the error that no scene is known.
+    whole_photographs : at full size even if smaller ones were used, unless the cameras were adjusted for these.
+    """
     from recon3d.budget import SCALES
     from recon3d.datasets.synthetic import SCENES
-    from recon3d.io.refined_cameras import with_refined_cameras
+    from recon3d.io.refined_cameras import REFINED_FILE, with_refined_cameras
 
     if record is None or record["source"] is None:
         raise DataError(f"{result}: no record says which scene this was made of{hint}")
     box = None if record["source"] in SCENES else ",".join(map(str, record["bounds"]))
     given = load(record["source"], box, silhouettes, record["mm_per_unit"], record["images"])
-    given = given.shrunk(SCALES.get(record["detail"], 1.0))
     folder = result if result.is_dir() else result.parent
+    if not whole_photographs or (folder / REFINED_FILE).is_file():
+        given = given.shrunk(SCALES.get(record["detail"], 1.0))
     scene = with_refined_cameras(folder, given, of_views=False) or given
     return scene.subset(record["views"])
 

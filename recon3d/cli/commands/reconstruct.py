@@ -225,7 +225,7 @@ def command(
     if object_alone:
         say({"bounds": loaded.notes.get("bounds", "the format's own")})
     chosen = at_detail(loaded, detail, memory, settings)
-    loaded = chosen.scene
+    whole, loaded = loaded, chosen.scene
     if refine_cameras:
         loaded = with_adjusted_cameras(loaded, folder)
     else:
@@ -238,7 +238,9 @@ def command(
     say({**result.summary(), "detail": chosen.told})
     say(written)
     if texture is not None:
-        textured = texture_mesh(result.mesh, result.scene, size=texture)
+        # Smaller photographs keep the matching short; the texture is read from the whole ones.
+        shown = result.scene if refine_cameras else whole.subset([view.name for view in result.scene.views])
+        textured = texture_mesh(result.mesh, shown, size=texture)
         say(textured.summary())
         say(save_texture(textured, folder))
     if doubt := result.doubt():

@@ -34,9 +34,8 @@ def command(
     else:
         record = record_of(result)
         told = record["silhouettes"] if record and silhouettes == "auto" else silhouettes
-        loaded = recorded_scene(
-            result, record, silhouettes=told, hint=", so the photographs are not known; give --scene"
-        )
+        hint = ", so the photographs are not known; give --scene"
+        loaded = recorded_scene(result, record, silhouettes=told, hint=hint, whole_photographs=True)
     with progress() as report:
         report("texture", 0, 1)
         textured = texture_mesh(mesh, loaded, size=size, triangles=triangles)
