@@ -10,8 +10,8 @@ from sfm_world import FOCAL, HEIGHT, WIDTH, blocks, world
 from recon3d.calibration.turntable import Turntable, cameras_from_turntable, turntable_cameras
 from recon3d.datasets.synthetic import photograph
 from recon3d.errors import ArgumentError, CalibrationError
-from recon3d.io import open_scene
 from recon3d.io.files import write_image
+from recon3d.io.opening import read_calibrated
 from recon3d.scene.camera import Camera
 
 K = np.array([[FOCAL, 0, (WIDTH - 1) / 2], [0, FOCAL, (HEIGHT - 1) / 2], [0, 0, 1]])
@@ -74,7 +74,7 @@ def test_direction_and_pose_of_an_object_without_texture_are_found_from_silhouet
     for camera, expected in zip(found.cameras, true, strict=True):
         axis, right = camera.cam_from_world[2, :3], expected.cam_from_world[2, :3]
         assert np.degrees(np.arccos(axis @ right)) < 0.7
-    assert open_scene(tmp_path / "scene").mm_per_unit == 1000
+    assert read_calibrated(tmp_path / "scene").mm_per_unit == 1000
     ramp = np.indices((HEIGHT, WIDTH)).sum(axis=0)[..., None].repeat(3, 2).astype(np.uint8)
     write_image(tmp_path / "photographs" / "t0.png", ramp)
     with pytest.raises(CalibrationError, match=r"matches were found .* background is not of one color"):

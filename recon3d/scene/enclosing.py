@@ -175,7 +175,7 @@ def _extent(cube: Bounds, holds: Callable[[Bounds], NDArray[np.bool_]], *, round
 
 def _in_silhouettes(views: Sequence[View], box: Bounds) -> NDArray[np.bool_]:
     """Which cells may be in all silhouettes; what fewer than half of the views show is not."""
-    cells, left = box.grid(_N, _N, _N), np.arange(_N**3)
+    cells, left = np.ascontiguousarray(box.grid(_N, _N, _N).T), np.arange(_N**3)  # rows of x, y, z
     seen = np.zeros(len(left), np.int64)
     radius = 0.5 * float(np.linalg.norm(box.extent)) / _N
     for view in views:
@@ -188,13 +188,18 @@ def _in_silhouettes(views: Sequence[View], box: Bounds) -> NDArray[np.bool_]:
             continue
         camera = view.calibration.at(scale)
         P = camera.K @ camera.cam_from_world[:3]
-        homogeneous = cells[left] @ P[:, :3].T + P[:, 3]
-        front = homogeneous[:, 2] > 0
-        u, v = (homogeneous[:, :2] / np.where(front, homogeneous[:, 2], 1)[:, None]).round().astype(np.int64).T
-        within = front & (u >= 0) & (v >= 0) & (u < camera.width) & (v < camera.height)
-        allowed = np.ones(len(left), np.bool_)
-        allowed[within] = (_grown(mask) if scale < 1 else mask)[v[within], u[within]]
-        left, seen = left[allowed], (seen + within)[allowed]
+        u, v, away = P[:, :3] @ cells + P[:, 3:]
+        within = away > 0
+        for place, side in ((u, camera.width), (v, camera.height)):
+            np.divide(place, away, out=place, where=within)
+            within &= (place >= -0.5) & (place < side - 0.5)
+        shown = (_grown(mask) if scale < 1 else mask)[
+            np.rint(v[within]).astype(np.intp), np.rint(u[within]).astype(np.intp)
+        ]
+        seen += within
+        within[within] = ~shown
+        if within.any():  # outside the silhouette
+            cells, left, seen = cells[:, ~within], left[~within], seen[~within]
     held = np.zeros(_N**3, np.bool_)
     held[left[seen >= len(views) / 2]] = True
     return held.reshape(_N, _N, _N)
