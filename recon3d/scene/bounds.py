@@ -74,7 +74,7 @@ class Bounds:
         return np.asarray(self.low + cells * self.extent)
 
     def places(self, n: int) -> NDArray[np.float64]:
-        """(about n, 3) places all over the box, equally far apart along its sides, world."""
+        """(m, 3) places all over the box, about n of them, equally far apart along its sides, world."""
         spacing = (self.extent.prod() / n) ** (1 / 3)
         nx, ny, nz = (max(round(side / spacing), 1) for side in self.extent)
         return self.grid(nx, ny, nz)
