@@ -183,3 +183,18 @@ def test_the_hull_of_a_field_is_what_is_positive_coloured_where_it_is_seen(view:
     assert hull.distance.dtype == np.float32
     nothing = hull_of_field(-np.ones(volume.shape), np.zeros(volume.shape, np.uint8), volume)
     assert nothing.with_interior.n_occupied == 0
+
+
+@pytest.mark.parametrize("cleared", [True, False])
+def test_a_cavity_stays_where_a_camera_is_inside_and_is_filled_where_none_is(
+    volume: CarvingVolume, cleared: bool
+) -> None:
+    K = np.array([[20.0, 0, 19.5], [0, 20.0, 19.5], [0, 0, 1]])
+    pose = np.eye(4)
+    pose[:3, 3] = [-8, -8, -8]  # in the middle, looks along +z
+    field = np.full(volume.shape, 20, np.float32)
+    if cleared:
+        field[7:9, 7:9, 7:9] = -1
+    after = carved(plain_view(K, pose, width=40, height=40), volume, (5.0, 1.0), (5.0, 1.0), field=field)
+    assert (after[7:9, 7:9, 10] < 0).all() == cleared
+    assert (after[7:9, 7:9, 14] > 0).all()

@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike, NDArray
 from reference import matching_neighbours_twin
-from scenes import plain_view, transformed
+from scenes import box_mesh, plain_view, transformed
 
 from recon3d.errors import SceneError
 from recon3d.rendering.orbit import look_at
 from recon3d.scene.bounds import Bounds
 from recon3d.scene.neighbours import Overlap, matching_neighbours, overlapping_neighbours
 from recon3d.scene.scene import Scene
+from recon3d.stereo.sharing import surface_neighbours
 
 MIDDLE = np.array([0.3, -0.2, 0.5])
 BOUNDS = Bounds(MIDDLE - 1, MIDDLE + 1)
@@ -147,3 +148,25 @@ def test_of_many_that_overlap_some_from_near_to_far_are_asked() -> None:
     assert asked.shape == (120, 10)
     assert asked[0].tolist() == [1, 11, 21, 31, 41, 50, 60, 70, 80, 90]
     assert all(len(set(row)) == 10 and n not in row for n, row in enumerate(asked.tolist()))
+
+
+def test_views_of_both_sides_of_a_plate_are_not_matched_once_it_is_known() -> None:
+    angles = np.radians([20, 50, -20, -50])
+    away = np.column_stack([np.cos(angles), np.sin(angles), 0 * angles])
+    poses = (look_at(4.0 * direction, np.zeros(3), np.array([0, 0, 1.0])) for direction in away)
+    views = (plain_view(cam_from_world=pose, name=f"{n}") for n, pose in enumerate(poses))
+    scene = Scene(tuple(views), Bounds((-0.5, -0.1, -0.4), (0.5, 0.1, 0.4)), "plate")
+    plate = box_mesh(0.9, 0.1, 0.7)
+    plate.compute_triangle_normals()
+    plate.remove_triangles_by_mask(np.abs(np.asarray(plate.triangle_normals)[:, 1]) < 0.5)  # its narrow sides
+    plate = plate.subdivide_midpoint(4)
+    plate.compute_vertex_normals()
+    assert matching_neighbours(scene) == [[1, 2], [0], [3, 0], [2]]
+    assert surface_neighbours(scene, plate, 4, clearance=0.01) == [[1], [0], [3], [2]]
+
+
+def test_views_that_share_nothing_of_the_surface_go_by_the_bounds() -> None:
+    scene = on_an_arc([0, 20, 40])
+    far = box_mesh(0.1, 0.1, 0.1).translate((50, 0, 0))
+    far.compute_vertex_normals()
+    assert surface_neighbours(scene, far, 4, clearance=0.01) == matching_neighbours(scene)

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_fill_holes, gaussian_filter
+from scipy.ndimage import binary_propagation, gaussian_filter
 
 from recon3d.kernels.depth_maps import add_depths
 from recon3d.kernels.types import Cameras, DepthMaps, Votes
@@ -65,7 +65,8 @@ def carve_by_depths(
     votes, weight = gaussian_filter(votes, blur), gaussian_filter(weight, blur)
     judged = (votes + prior * truncation) / (weight + prior)
     carved = np.where(occupied, np.minimum(field, judged + margin * resolution), field)
-    # A cavity without an opening was seen by nobody.
-    enclosed = binary_fill_holes(carved > 0) & (carved <= 0) & occupied
-    carved[enclosed] = volume.voxel_size
+    # A cavity without an opening was seen by nobody; one around a camera opens into what was empty before.
+    empty = np.pad(carved <= 0, 1, constant_values=True)
+    opening = np.pad(~occupied, 1, constant_values=True)
+    carved[~binary_propagation(opening, mask=empty)[1:-1, 1:-1, 1:-1] & (carved <= 0)] = volume.voxel_size
     return np.asarray(carved, np.float32)

@@ -61,7 +61,7 @@ class Scene(ByContent, Summarised):
         object.__setattr__(self, "bounds", Bounds.of(self.bounds))
         if self.bounds.extent.min() <= 0:
             raise SceneError(f"scene {self.name}: expected bounds with three positive sides, got {self.bounds.extent}")
-        probes = np.vstack([self.bounds.corners, self.bounds.center])
+        probes = np.vstack([self.bounds.corners, self.bounds.center, self.bounds.places(_PROBES)])
         if not any(view.sees(probes).any() for view in self.views):
             low, high = (place_text(corner, self.bounds.longest) for corner in (self.bounds.low, self.bounds.high))
             raise SceneError(
@@ -173,15 +173,19 @@ class Scene(ByContent, Summarised):
         return np.array([view.center for view in self.views])
 
     @property
+    def camera_inside(self) -> bool:
+        """Whether some camera stands inside the bounds, as in a room."""
+        return bool((np.abs(self.centers - self.bounds.center) < self.bounds.extent / 2).all(axis=1).any())
+
+    @property
     def pixel_footprint(self) -> float:
         """Median size of a pixel at the centre of the bounds, world units.
 
         Where the centre lies behind every camera, or cameras stand inside the bounds, of what each view sees of them.
         """
-        inside = (np.abs(self.centers - self.bounds.center) < self.bounds.extent / 2).all(axis=1).any()
         focals = [np.sqrt(view.K[0, 0] * view.K[1, 1]) for view in self.views]
         depths = [float(view.project(self.bounds.center[None])[1][0]) for view in self.views]
-        if inside or max(depths) <= 0:
+        if self.camera_inside or max(depths) <= 0:
             places = self.bounds.places(_PROBES)
             seen = [view.project(places)[1][view.sees(places)] for view in self.views]
             depths = [float(np.median(each)) if len(each) else 0.0 for each in seen]

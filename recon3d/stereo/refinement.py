@@ -20,11 +20,11 @@ from recon3d.carving.visible import color_visible
 from recon3d.carving.vote_carving import reading_scale
 from recon3d.errors import ArgumentError
 from recon3d.kernels.types import DepthMaps
-from recon3d.scene.neighbours import matching_neighbours
 from recon3d.scene.scene import Scene
 from recon3d.scratch import Scratch, Stored, load
 from recon3d.stereo.fusion import Fusion, fuse
 from recon3d.stereo.patch_match import DepthMap, GuidedView, Matching, guide_views, match_view
+from recon3d.stereo.sharing import surface_neighbours
 from recon3d.surface.extraction import mesh_shape
 from recon3d.tasks import Arrays, Kept, Progress, Store, content_key, once
 from recon3d.volume.carved import CarvedVolume, Label
@@ -128,9 +128,9 @@ def _pass(
     progress: Progress,
 ) -> Refinement:
     """Match every view, fuse the depth maps, and carve the hull to them, whose voxels are coloured if wanted."""
-    neighbours = matching_neighbours(scene, matching.neighbours)
     scratch = Scratch()
     surface = mesh_shape(hull.with_interior, distance=hull.distance)
+    neighbours = surface_neighbours(scene, surface, matching.neighbours, clearance=hull.lattice.voxel_size)
     guided = [scratch.keep(view) for view in guide_views(scene, surface, matching.stride)]
     match = partial(_matched, footprint=scene.pixel_footprint, thickness=float(min(scene.bounds.extent)))
     inputs = {
@@ -162,13 +162,15 @@ def _matched(
 def _within(points: o3d.t.geometry.PointCloud, scene: Scene) -> o3d.t.geometry.PointCloud:
     """The points without the background: what lies beyond the bounds, or on one of their faces, as a floor does.
 
-    Next to a face of the bounds an object turns its outside towards the face; what turns it inwards is background.
+    Next to a face of the bounds an object turns its outside towards the face; what turns it inwards is background. Not
+    so around cameras inside the bounds, which look at the walls of a room.
     """
     places, normals = points.point.positions.numpy(), points.point.normals.numpy()
     inner = scene.bounds.padded(-_MARGIN * scene.bounds.longest)
     low, high = places < inner.low, places > inner.high
     background = ((places < scene.bounds.low) | (places > scene.bounds.high)).any(axis=1)
-    background |= ((low & (normals > _FACING)) | (high & (normals < -_FACING))).any(axis=1)
+    if not scene.camera_inside:
+        background |= ((low & (normals > _FACING)) | (high & (normals < -_FACING))).any(axis=1)
     return points.select_by_mask(o3d.core.Tensor.from_numpy(~background))
 
 
