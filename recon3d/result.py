@@ -15,6 +15,7 @@ from recon3d.evaluation.distances import Evaluation
 from recon3d.evaluation.photographs import Quality
 from recon3d.evaluation.thin_parts import lost_thin_parts
 from recon3d.io.geometry import from_arrays, geometry_arrays
+from recon3d.io.run_record import FORMAT
 from recon3d.rendering.renderer import Renderer
 from recon3d.rendering.sheets import turntable
 from recon3d.scene.scene import Scene
@@ -131,6 +132,7 @@ class Reconstruction(Summarised):
         """Every parameter, version, timing and figure of the run, for a JSON file."""
         lattice = self.carved.lattice
         return {
+            "format": FORMAT,
             "recon3d": __version__,
             "versions": {"python": platform.python_version(), **versions()},
             "scene": {

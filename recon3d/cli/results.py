@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import json
 import tempfile
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from recon3d.cli.console import progress
 from recon3d.cli.scenes import load
 from recon3d.errors import ArgumentError, DataError
 
 if TYPE_CHECKING:  # Open3D takes seconds to import, --help should not
+    from recon3d.io.run_record import RunRecord
     from recon3d.result import Reconstruction
     from recon3d.scene.scene import Scene
     from recon3d.settings import Settings
@@ -50,33 +50,17 @@ def mesh_of(result: Path) -> Path:
     return found[0] if result.is_dir() else result
 
 
-def record_of(result: Path) -> dict[str, Any] | None:
-    """What is recorded of the scene of a result's folder or file, and of what was done; None without a record."""
-    file = (result if result.is_dir() else result.parent) / "record.json"
-    if not file.is_file():
-        return None
-    try:
-        record: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
-        scene = record["scene"]
-        low, high = scene["bounds"]
-        return {
-            "views": [str(name) for name in scene["views"]],
-            "bounds": [float(x) for corner in (low, high) for x in corner],
-            "mm_per_unit": None if scene["mm_per_unit"] is None else float(scene["mm_per_unit"]),
-            "source": None if scene.get("source") is None else str(scene["source"]),
-            "silhouettes": str(scene.get("silhouettes from", "auto")),
-            "images": scene.get("images from"),
-            "detail": str(scene.get("detail", "full")),
-            "settings": record.get("settings"),
-            "voxels": dict(record.get("voxels") or {}),
-        }
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise DataError(f"{file}: expected the record of a run, got something else ({error!r})") from None
+def record_of(result: Path) -> RunRecord | None:
+    """What is recorded of a result's folder or file, of the scene and what was done; None without a record."""
+    from recon3d.io.run_record import RECORD_FILE, read_run_record
+
+    file = (result if result.is_dir() else result.parent) / RECORD_FILE
+    return read_run_record(file) if file.exists() else None
 
 
 def recorded_scene(
     result: Path,
-    record: dict[str, Any] | None,
+    record: RunRecord | None,
     *,
     silhouettes: str = "none",
     hint: str = "",
@@ -93,25 +77,27 @@ def recorded_scene(
     from recon3d.datasets.synthetic import SCENES
     from recon3d.io.refined_cameras import REFINED_FILE, with_refined_cameras
 
-    if record is None or record["source"] is None:
+    source = record.scene.source if record is not None else None
+    if record is None or source is None:
         raise DataError(f"{result}: no record says which scene this was made of{hint}")
-    box = None if record["source"] in SCENES else ",".join(map(str, record["bounds"]))
-    given = load(record["source"], box, silhouettes, record["mm_per_unit"], record["images"])
+    told = record.scene
+    box = None if source in SCENES else ",".join(str(x) for corner in told.bounds for x in corner)
+    given = load(source, box, silhouettes, told.mm_per_unit, told.images)
     folder = result if result.is_dir() else result.parent
     if not whole_photographs or (folder / REFINED_FILE).is_file():
-        given = given.shrunk(SCALES.get(record["detail"], 1.0))
+        given = given.shrunk(SCALES[told.detail])
     scene = with_refined_cameras(folder, given, of_views=False) or given
-    return scene.subset(record["views"])
+    return scene.subset(told.views)
 
 
-def recorded_settings(result: Path, record: dict[str, Any] | None, test: str | None) -> Settings:
+def recorded_settings(result: Path, record: RunRecord | None, test: str | None) -> Settings:
     """The settings that a result was made with, a user's own test among them only where its name is given."""
     from recon3d.settings import Settings
 
-    if not result.exists() or record is None or record["settings"] is None:
+    if not result.exists() or record is None or record.settings is None:
         raise DataError(f"{result}: expected the folder of a result, with a record.json that tells the settings")
     try:
-        return Settings.from_record(record["settings"], test=test)
+        return Settings.from_record(record.settings, test=test)
     except (ArgumentError, DataError) as error:
         raise DataError(f"{result}: the recorded settings cannot be used again: {error}") from None
 

@@ -10,6 +10,7 @@ from recon3d.errors import ArgumentError
 from recon3d.io.files import remove_leftovers, write_json
 from recon3d.io.geometry import MESH_SUFFIXES, write_geometry
 from recon3d.io.printing import PRINT_SUFFIXES, write_print
+from recon3d.io.run_record import RECORD_FILE
 from recon3d.rendering.orbit import upright
 from recon3d.reporting.pictures import save_pictures
 from recon3d.result import Reconstruction
@@ -43,7 +44,7 @@ def save(
         raise ArgumentError(f"expected mesh formats among {', '.join(known)}, got {', '.join(unknown)}")
     # The record tells a finished result: it goes first and comes last.
     record = result.record()
-    (folder / "record.json").unlink(missing_ok=True)
+    (folder / RECORD_FILE).unlink(missing_ok=True)
     remove_leftovers(folder)
     written = {
         f"mesh ({name})": write_geometry(
@@ -56,7 +57,7 @@ def save(
     written["voxel grid"] = write_geometry(folder / "voxels.ply", result.carved.to_voxel_grid())
     if pictures:
         written |= save_pictures(result.mesh, result.scene, folder)
-    written["figures"] = write_json(folder / "record.json", record)
+    written["figures"] = write_json(folder / RECORD_FILE, record)
     return written | save_prints(result, folder, [name for name in mesh_formats if f".{name}" in PRINT_SUFFIXES])
 
 

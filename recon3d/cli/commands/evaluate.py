@@ -74,7 +74,7 @@ def command(
     folder = writable(output or beside(reconstruction, "evaluation"))
     if mm_per_unit is None:
         record = record_of(reconstruction)
-        mm_per_unit = record["mm_per_unit"] if record and align is not _Align.similarity else 1000.0
+        mm_per_unit = record.scene.mm_per_unit if record and align is not _Align.similarity else 1000.0
         if mm_per_unit is None:
             raise ArgumentError(
                 f"--mm-per-unit: expected it, since {reconstruction} has no scale of its own, or --align similarity"

@@ -41,7 +41,7 @@ def command(
         raise ArgumentError("expected --at X,Y,Z or --pixel VIEW,U,V, one of them")
     record = record_of(result)
     settings = recorded_settings(result, record, test)
-    scene = recorded_scene(result, record, silhouettes=record["silhouettes"] if record else "auto")
+    scene = recorded_scene(result, record, silhouettes=record.scene.silhouettes if record else "auto")
     folder = writable(output or beside(result, "explanations"))
     stages = beside(result, "stages")
     kept = Checkpoints(stages) if stages.is_dir() else None
@@ -50,7 +50,7 @@ def command(
         found = explain_voxel(scene, settings, at=place, pixel=clicked, checkpoints=kept)
         report("carving", 1, 1)
     kept_voxels = ("consistent", "hidden")
-    if record and any(record["voxels"].get(name) != found.carved.counts()[name] for name in kept_voxels):
+    if record and any(record.voxels.get(name) != found.carved.counts()[name] for name in kept_voxels):
         warnings.warn(f"{result}: carved once more, other voxels are left than recorded; data or program have changed",
                       stacklevel=1)  # fmt: skip
     name = "voxel_" + "_".join(map(str, found.voxel)) + ".png"

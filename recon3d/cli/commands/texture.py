@@ -33,7 +33,7 @@ def command(
         loaded = load(scene, None, silhouettes)
     else:
         record = record_of(result)
-        told = record["silhouettes"] if record and silhouettes == "auto" else silhouettes
+        told = record.scene.silhouettes if record and silhouettes == "auto" else silhouettes
         hint = ", so the photographs are not known; give --scene"
         loaded = recorded_scene(result, record, silhouettes=told, hint=hint, whole_photographs=True)
     with progress() as report:
