@@ -14,7 +14,9 @@ from recon3d.carving.visibility import largest_admissible_views, spread_views
 from recon3d.checks import require_number, require_whole
 from recon3d.consistency.spec import is_built_in, record_of, restore
 from recon3d.errors import ArgumentError, DataError, SceneError
+from recon3d.scene.camera import Camera
 from recon3d.scene.scene import Scene
+from recon3d.scene.view import View
 from recon3d.stereo.patch_match import Matching
 from recon3d.stereo.refinement import PASSES
 from recon3d.surface.meshing import Meshing
@@ -244,11 +246,22 @@ def _plain(value: Any) -> Any:
 
 
 def choose_views(scene: Scene, settings: Settings) -> Scene:
-    """The scene with the views that the settings ask for."""
-    if settings.views == "all":
-        return scene
+    """The scene with the views that the settings ask for, each once: a duplicate would only confirm its original."""
+    scene = _without_duplicates(scene if isinstance(settings.views, str) else scene.subset(settings.views))
     if settings.views != "auto":
-        return scene.subset(settings.views)
+        return scene
     one_sided = settings.carving is not None and settings.carving.one_sided
     names = largest_admissible_views(scene) if one_sided else [view.name for view in scene.views]
     return spread_views(scene.subset(names), settings.max_views or len(names))
+
+
+def _without_duplicates(scene: Scene) -> Scene:
+    """The scene without views whose camera, photograph and mask are those of an earlier one."""
+    kept: dict[Camera, list[View]] = {}
+    unique = []
+    for view in scene.views:
+        same = kept.setdefault(view.calibration, [])
+        if not any(replace(view, name=other.name).fingerprint() == other.fingerprint() for other in same):
+            same.append(view)
+            unique.append(view)
+    return scene if len(unique) == len(scene.views) else replace(scene, views=tuple(unique))

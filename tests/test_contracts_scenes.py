@@ -18,6 +18,7 @@ from recon3d.scene.bounds import Bounds
 from recon3d.scene.camera import Camera
 from recon3d.scene.scene import Scene
 from recon3d.scene.view import View
+from recon3d.settings import choose_views
 from recon3d.stereo.refinement import _within
 
 
@@ -64,7 +65,7 @@ def test_every_method_carves_any_scene_or_says_in_a_line_why_not(
     refused = ""
     try:
         settings = settings.resolved(scene)
-        scene = recon3d.settings.choose_views(scene, settings)
+        scene = choose_views(scene, settings)
         carved = recon3d.carve(scene, settings.lattice(scene), settings.carving)
         assert 0 < carved.n_accepted < carved.lattice.n_voxels
     except Recon3dError as error:
@@ -72,6 +73,26 @@ def test_every_method_carves_any_scene_or_says_in_a_line_why_not(
     assert bool(refused) >= METHODS[name].needs_silhouettes
     assert not refused or METHODS[name].needs_silhouettes or kind == "from within"
     assert not refused or (scene.name in refused and "\n" not in refused)
+
+
+def test_duplicated_views_are_used_once(temple: Scene) -> None:
+    first = temple.views[0]
+    again = replace(first, name="again")
+    other = replace(first, photograph=np.zeros_like(first.image), name="another photograph")
+    doubled = replace(temple, views=(*temple.views, again, other))
+    chosen = choose_views(doubled, recon3d.Settings())
+    assert [view.name for view in chosen.views] == [*(view.name for view in temple.views), "another photograph"]
+    assert len(choose_views(doubled, recon3d.Settings(views=(temple.views[0].name, "again"))).views) == 1
+    assert choose_views(temple, recon3d.Settings()) == temple
+
+
+def test_photographs_that_show_nothing_end_with_one_line(temple: Scene) -> None:
+    blank = replace(
+        temple, views=tuple(replace(view, photograph=np.full_like(view.image, 90)) for view in temple.views)
+    )
+    with pytest.raises(Recon3dError, match=r"little-temple") as refused:
+        recon3d.reconstruct(blank, recon3d.Settings(n_voxels=3_000))
+    assert "\n" not in str(refused.value)
 
 
 def test_a_pixels_footprint_in_a_room_is_that_on_what_the_cameras_see(room: Scene) -> None:
