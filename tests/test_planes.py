@@ -121,8 +121,12 @@ def cost_twin(
     spacing: int,
     contrast: float,
     affine: bool,
+    told: NDArray[np.float64] | float = 1.0,
 ) -> float:
-    """1 - weighted NCC of a window and its image by the plane's homography, or by that one's affine part."""
+    """1 - weighted NCC of a window and its image by the plane's homography, or by that one's affine part.
+
+    Samples weigh besides as they are told, by (rows, columns).
+    """
     u, v = pixel
     w, along_u, along_v = plane.astype(float)
 
@@ -132,6 +136,7 @@ def cost_twin(
 
     h = 1e-4
     middle, Ju, Jv = warp(0, 0), (warp(h, 0) - warp(-h, 0)) / (2 * h), (warp(0, h) - warp(0, -h)) / (2 * h)
+    shares = np.broadcast_to(told, image.shape)
     half = radius // spacing
     steps = [(c, r) for r in range(-half, half + 1) for c in range(-half, half + 1)]
     weights, own, seen = [], [], []
@@ -141,6 +146,7 @@ def cost_twin(
         own.append(float(image[v + dv, u + du]))
         seen.append(bilinear(other, x, y))
         weights.append(np.exp(-abs(own[-1] - image[v, u]) / contrast - (c * c + r * r) / (2 * half**2)))
+        weights[-1] *= shares[v + dv, u + du]
     covariance = np.cov(own, seen, aweights=weights)
     return float(1 - covariance[0, 1] / np.sqrt(covariance[0, 0] * covariance[1, 1]))
 
@@ -162,20 +168,25 @@ class World:
         self.costs = np.full((18, 24), NOTHING, np.float32)
         self.nearest = np.full((18, 24), distance - 1, np.float32)
         self.farthest = np.full((18, 24), distance + 1, np.float32)
+        self.guide = np.full((36, 48), 1 / distance, np.float32)
+        self.tangents = np.zeros((18, 24, 3), np.float32)
+        self.tangents[..., 0] = 1 / distance
 
     def compared(self) -> Compared:
         """The first image with the others."""
         return Compared.between(self.grey[0], self.camera, self.grey[1:], self.others)
 
     def match(
-        self, *, visible: int = 3, radius: int = 4, spacing: int = 1, most: int = 2, trials: int = 0, parity: int = 0
-    ) -> World:
+        self, *, visible: int = 3, radius: int = 4, spacing: int = 1, most: int = 2, trials: int = 0, parity: int = 0,
+        edge: float = 0.1, steps: int = 0,
+    ) -> World:  # fmt: skip
         """One half sweep."""
         ranges = np.array([[np.inf, 1e-4], [1e-3, 1e-4], [5e-4, 5e-5]])[:trials]
         seen = np.full((18, 24), visible, np.uint32)
         match_planes(
             self.compared(), WeightedWindow(radius, spacing, 20.0, 2.0),
-            Search(seen, self.nearest, self.farthest, STRIDE, most), HalfSweep(parity, ranges),
+            Search(seen, self.guide, self.tangents, edge, self.nearest, self.farthest, STRIDE, most),
+            HalfSweep(parity, ranges, steps),
             Planes(self.planes, self.costs),
         )  # fmt: skip
         return self
@@ -209,6 +220,60 @@ def test_a_planes_cost_is_one_less_the_correlation_under_its_homography(
     # deviation a pixel: 0.04 of a deviation there, less inside. NCC follows at most twice that.
     np.testing.assert_allclose(found, exact, atol=0.08)
     assert np.median(np.abs(found - exact)) < 0.01
+
+
+def test_windows_keep_to_the_side_of_their_pixel(scene: Scene) -> None:
+    world = World(scene)
+    rng = np.random.default_rng(3)
+    flat = world.guide[0, 0]
+    world.guide += flat * gaussian_filter(rng.standard_normal((36, 48)), 2).astype(np.float32) * 0.02
+    world.guide[:, 24:] *= 1.2  # another surface, nearer
+    world.guide[:14] = 0  # and none
+    world.tangents[..., 0] = world.guide[::STRIDE, ::STRIDE]
+    world.match(visible=1, edge=0.05)
+    H, e = world.compared().homographies[0], world.compared().epipoles[0]
+    compared = np.argwhere((world.costs < 1.999) & (world.tangents[..., 0] > 0))
+    assert len(compared) > 50
+    twins = []
+    for row, column in compared:
+        leaves = world.guide - world.tangents[row, column, 0].astype(float)
+        told = np.where(world.guide > 0, 1 - np.square(leaves / (0.05 * world.tangents[row, column, 0])), 0)
+        twins.append(
+            cost_twin(
+                world.grey[0], world.grey[1], H, e, (STRIDE * column, STRIDE * row), world.planes[row, column],
+                radius=4, spacing=1, contrast=20.0, affine=True,
+                told=np.square(np.maximum(told, 0)),
+            )
+        )  # fmt: skip
+    np.testing.assert_allclose(world.costs[tuple(compared.T)], twins, atol=1e-4)
+
+
+def test_steps_of_gauss_and_newton_find_a_plane_to_a_small_part_of_a_pixel(scene: Scene) -> None:
+    # A pattern on a plane that stands parallel to the first image.
+    def pattern(u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float32]:
+        waves = 40 * np.sin(0.7 * u + 0.3 * v) + 30 * np.sin(0.5 * v - 0.6 * u) + 20 * np.sin(0.9 * v)
+        return (128 + waves).astype(np.float32)
+
+    v, u = np.mgrid[:36, :48].astype(float)
+    world = World(scene)
+    exact = float(world.guide[0, 0])
+    for j, (H, e) in enumerate(zip(world.compared().homographies, world.compared().epipoles, strict=True)):
+        back = np.linalg.inv(H + exact * np.outer(e, [0, 0, 1]))
+        x, y, z = np.tensordot(back, np.stack([u, v, np.ones_like(u)]), axes=1)
+        world.grey[1 + j] = pattern(x / z, y / z)
+    world.grey[0] = pattern(u, v)
+    wrong = 0.02 * exact  # half a pixel in the nearer view
+    world.planes[...] = [exact + wrong, 2e-4, -2e-4]
+    started = World(scene)
+    started.grey, started.planes[...] = world.grey, world.planes
+    started.match(radius=3)
+    world.match(radius=3, steps=5)
+    compared = np.argwhere(started.costs < 1)
+    assert len(compared) > 50
+    planes, costs = world.planes[tuple(compared.T)], world.costs[tuple(compared.T)]
+    assert (costs <= started.costs[tuple(compared.T)] + 1e-6).all()
+    assert np.median(np.abs(planes[:, 0] - exact)) < 0.03 * wrong
+    assert np.median(np.abs(planes[:, 1:])) < 0.2 * 2e-4
 
 
 def test_the_two_best_views_count_and_one_alone_where_only_one_sees(scene: Scene) -> None:

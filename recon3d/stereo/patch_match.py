@@ -29,6 +29,9 @@ _TOLERANCE = 6.0  # pixel footprints by which the carved surface may miss in dep
 _MIN_COSINE = 0.15  # between a surface's normal and a line of sight along which it can be matched
 
 
+_EDGE = 2.5  # pixel footprints by which the carved surface leaves a pixel's tangent where another part of it begins
+
+
 _TRIALS = 2  # random planes a pixel and half sweep
 
 
@@ -129,6 +132,7 @@ def match_view(
     """Match a view with others, the nearest first.
 
     The carved surface starts each pixel off with a depth and a normal, bounds the search, and says which views see it.
+    Of a window only what lies on the pixel's own side of its edges is compared.
 
     Parameters
     ----------
@@ -140,6 +144,7 @@ def match_view(
     Bleyer, Rhemann, Rother, "PatchMatch stereo: stereo matching with slanted support windows", BMVC 2011.
     Galliani, Lasinger, Schindler, "Massively parallel multiview stereopsis by surface normal diffusion", ICCV 2015
     (red-black propagation).
+    Furukawa, Ponce, "Accurate, dense, and robust multiview stereopsis", TPAMI 2010 (planes refined by optimisation).
     """
     stride = matching.stride
     start = view.depth[::stride, ::stride]
@@ -157,8 +162,10 @@ def match_view(
     reach = np.float32(matching.reach * footprint)
     behind = reach + np.float32(matching.cavities * thickness)
     nearest, farthest = np.maximum(start - reach, reach), start + behind
-    search = Search(visible, nearest, farthest, stride, matching.compared)
     unit = footprint / float(np.median(start[start > 0])) ** 2
+    guide = np.divide(1, view.depth, out=np.zeros_like(view.depth), where=view.depth > 0)
+    edge = _EDGE / float(view.camera.focal)
+    search = Search(visible, guide, planes.copy(), edge, nearest, farthest, stride, matching.compared)
     for sweep in range(2 * matching.rounds):
         half_sweep = HalfSweep(sweep, _ranges(matching, unit, sweep // 2))
         match_planes(compared, window, search, half_sweep, Planes(planes, costs))
