@@ -31,7 +31,7 @@ from recon3d.consistency import StandardDeviation
 from recon3d.io.checkpoints import Checkpoints
 from recon3d.io.files import atomic_folder, atomic_path
 from recon3d.stereo.refinement import PASSES
-from recon3d.tasks import Arrays, threads
+from recon3d.tasks import Arrays, Kept, once, threads
 
 ARRAYS = {"planes": np.arange(12, dtype=np.float32).reshape(2, 2, 3), "costs": np.ones((2, 2), np.float32)}
 QUICK = (Matching(stride=4, rounds=1),)
@@ -291,3 +291,9 @@ def test_a_hull_comes_back_from_its_arrays(undisturbed: Reconstruction) -> None:
     bare = replace(hull, distance=None)
     assert "distance" not in bare.arrays()
     assert CarvedVolume.from_arrays(hull.volume, bare.arrays()).distance is None
+
+
+def test_a_folder_in_the_place_of_a_stage_is_told_before_anything_is_computed(tmp_path: Path) -> None:
+    (tmp_path / "carving.npz").mkdir()
+    with pytest.raises(recon3d.DataError, match=r"carving\.npz: expected a file of a finished stage.*got a folder"):
+        once(lambda: pytest.fail("computed"), "carving", kept=Kept(Checkpoints(tmp_path), "key", vars, vars))

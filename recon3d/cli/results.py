@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -9,6 +10,11 @@ from typing import TYPE_CHECKING
 from recon3d.cli.console import progress
 from recon3d.cli.scenes import load
 from recon3d.errors import ArgumentError, DataError
+
+try:
+    import fcntl
+except ImportError:  # Windows, whose folders cannot be locked so
+    fcntl = None  # type: ignore[assignment]
 
 if TYPE_CHECKING:  # Open3D takes seconds to import, --help should not
     from recon3d.io.run_record import RunRecord
@@ -103,13 +109,35 @@ def recorded_settings(result: Path, record: RunRecord | None, test: str | None) 
 
 
 def writable(folder: Path) -> Path:
-    """The folder, made if need be; an error before any work where nothing can be written to it."""
+    """The folder, made if need be, and for this process alone until it ends.
+
+    Raises
+    ------
+    ArgumentError : nothing can be written to it, or another command writes into it now.
+    """
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
-            return folder
+            pass
     except OSError as error:
         raise ArgumentError(f"--output {folder}: expected a folder that can be written ({error.strerror})") from None
+    _lock(folder)
+    return folder
+
+
+def _lock(folder: Path) -> None:
+    """Lock a folder until the process ends, however it does; no file is left behind."""
+    if fcntl is None:
+        return
+    handle = os.open(folder, os.O_RDONLY)  # never closed: that would unlock the folder
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        raise ArgumentError(
+            f"--output {folder}: another command writes into it now; wait until that has ended, or name another folder"
+        ) from None
+    except OSError:  # a file system without locks
+        return
 
 
 def beside(result: Path, name: str) -> Path:

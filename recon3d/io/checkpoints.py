@@ -11,6 +11,7 @@ from urllib.parse import quote, unquote
 import numpy as np
 from numpy.typing import NDArray
 
+from recon3d.errors import DataError
 from recon3d.io.files import atomic_path, remove_leftovers
 from recon3d.tasks import Arrays
 
@@ -33,9 +34,17 @@ class Checkpoints:
         remove_leftovers(self.folder)
 
     def read(self, name: str, key: str) -> dict[str, NDArray[Any]] | None:
-        """Arrays of a name that were written with that key; None where there are none."""
+        """Arrays of a name that were written with that key; None where there are none.
+
+        Raises
+        ------
+        DataError : a folder lies where they are kept, so that nothing could be written there either.
+        """
+        path = self._path(name)
+        if path.is_dir():
+            raise DataError(f"{path}: expected a file of a finished stage, or none, got a folder; move it away")
         try:
-            with self._path(name).open("rb") as file, np.load(file, allow_pickle=False) as stored:
+            with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
                 if str(stored[_KEY]) != _told(key, (each for each in stored if each != _KEY)):
                     return None
                 return {each: stored[each] for each in stored if each != _KEY}
