@@ -23,7 +23,9 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 import recon3d
+from recon3d.evaluation.distances import distance_to_mesh
 from recon3d.io import Checkpoints
+from recon3d.pipeline import SPACING, kept_carving
 from recon3d.surface.uncertainty import Constants, Evidence, evidence, predicted_distance, standard_deviation
 
 SHARES = ((0.68, 1.0), (0.95, 2.0))
@@ -79,13 +81,13 @@ def find(known: Known, stages: Path) -> Found:
     """Reconstruct a scene up to its mesh, and measure it."""
     scene, kept = known.scene, Checkpoints(stages)
     settings = recon3d.Settings().resolved(scene)
-    carved = recon3d.pipeline.kept_carving(scene, settings.lattice(scene), settings, kept)
+    carved = kept_carving(scene, settings.lattice(scene), settings, kept)
     points, carved = recon3d.refine(scene, carved.dense(), passes=settings.passes_for(scene), checkpoints=kept)
-    spacing = recon3d.pipeline.SPACING * scene.pixel_footprint
+    spacing = SPACING * scene.pixel_footprint
     meshed = recon3d.mesh(carved, points, settings.meshing, spacing=spacing)
     visibility = recon3d.surface.VertexVisibility.of(meshed.mesh, scene)
     measured = meshed.measured & (visibility.n_views > 0)
-    error = recon3d.evaluation.distance_to_mesh(np.asarray(meshed.mesh.vertices)[measured], known.truth)
+    error = distance_to_mesh(np.asarray(meshed.mesh.vertices)[measured], known.truth)
     return Found(evidence(meshed.mesh, points, scene, visibility, measured), error / scene.pixel_footprint)
 
 
