@@ -27,7 +27,8 @@ def test_a_folder_is_one_commands_alone_until_that_ends_however_it_does(tmp_path
         writable(tmp_path / "another")
         other.kill()
         other.wait()
-        assert writable(tmp_path / "out") == tmp_path / "out"
+        for _ in range(2):  # one process may write into it again and again
+            assert writable(tmp_path / "out") == tmp_path / "out"
     assert not list((tmp_path / "out").iterdir())
 
 

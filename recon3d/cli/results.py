@@ -23,6 +23,8 @@ if TYPE_CHECKING:  # Open3D takes seconds to import, --help should not
     from recon3d.settings import Settings
     from recon3d.surface.texture import TexturedMesh
 
+_locked: set[Path] = set()  # folders that are this process's
+
 
 def save(result: Reconstruction, folder: Path, formats: list[str], *, pictures: bool = True) -> dict[str, Path]:
     """Write a result and, where it was measured, its curves."""
@@ -127,7 +129,7 @@ def writable(folder: Path) -> Path:
 
 def _lock(folder: Path) -> None:
     """Lock a folder until the process ends, however it does; no file is left behind."""
-    if fcntl is None:
+    if fcntl is None or folder.resolve() in _locked:
         return
     handle = os.open(folder, os.O_RDONLY)  # never closed: that would unlock the folder
     try:
@@ -138,6 +140,7 @@ def _lock(folder: Path) -> None:
         ) from None
     except OSError:  # a file system without locks
         return
+    _locked.add(folder.resolve())
 
 
 def beside(result: Path, name: str) -> Path:
